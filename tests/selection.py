@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plugin of pytest that chooses the tests of a push; `make nightly` sets MULTILICA_NIGHTLY and runs all.
 
-`@pytest.mark.nightly` is for more cases of tests that each push runs. `@pytest.mark.shows(*paths)` is for tests of
-pictures and pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
+`@pytest.mark.nightly` is for more cases of tests that each push runs. `@pytest.mark.in_turn` is for expensive ones
+beside them: a push runs a third, others than the push before. `@pytest.mark.shows(*paths)` is for tests of pictures and
+pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
 """
 
 from __future__ import annotations
 
 import os
 import subprocess
+import zlib
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
@@ -19,6 +21,7 @@ import pytest
 Case = TypeVar("Case")
 
 ROOT = Path(__file__).parents[1]
+TURNS = 3
 NIGHTLY = os.environ.get("MULTILICA_NIGHTLY", "") not in ("", "0")
 # A change of these could change the outcome of any test.
 COMMON = (
@@ -58,6 +61,7 @@ RUN_FILES = (
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "nightly: one of the further cases that `make nightly` adds")
+    config.addinivalue_line("markers", f"in_turn: one of {TURNS} pushes runs it, and `make nightly`")
     config.addinivalue_line(
         "markers", "shows(*paths): runs if one of the paths changed since MULTILICA_BASE, or at night"
     )
@@ -84,6 +88,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="nothing that it shows has changed"))
         if not NIGHTLY and item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.skip(reason="make nightly runs it"))
+        edited = item.path.is_relative_to(ROOT) and str(item.path.relative_to(ROOT)) in (changed or ())
+        if item.get_closest_marker("in_turn") and not (NIGHTLY or edited or has_its_turn(item.nodeid)):
+            item.add_marker(pytest.mark.skip(reason="another push runs it, and make nightly"))
     places = {ROOT / path: place for place, path in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
@@ -93,6 +100,11 @@ def shows_a_change(changed: tuple[str, ...] | None, paths: Iterable[str]) -> boo
     if changed is None:
         return True
     return any(Path(each).is_relative_to(path) for each in changed for path in (*paths, *COMMON))
+
+
+def has_its_turn(test: str) -> bool:
+    """Whether this push runs a test that has its turn; no matter which others were collected."""
+    return (zlib.crc32(test.encode()) + push_seed()) % TURNS == 0
 
 
 @cache

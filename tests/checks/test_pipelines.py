@@ -152,6 +152,7 @@ def test_the_picture_in_the_comment_is_at_an_address(checked):
     assert run_github(checked)[0] == 0  # a second push to the pull request
 
 
+@pytest.mark.in_turn
 def test_a_pull_request_from_a_fork_has_summary_and_artifact(checked):
     code, ran = run_github(checked, fork=True)
     assert code == 0
@@ -161,6 +162,7 @@ def test_a_pull_request_from_a_fork_has_summary_and_artifact(checked):
     assert "gh" not in (checked / "calls.txt").read_text().split()
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("broken", ["gh", "push"])
 def test_a_comment_that_is_refused_does_not_fail_the_job(checked, broken):
     if broken == "push":
@@ -193,6 +195,7 @@ def test_actions_and_images_have_a_version():
     assert "uses:" not in (ROOT / "action.yml").read_text()
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_the_action_fails_where_a_lidar_has_moved(project):
     reference = project / "calibration.toml"

@@ -43,6 +43,7 @@ def test_a_run_ends_with_a_table_and_what_was_written(invoke: Invoke, two_lidars
     assert angle_rad < 0.002
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_lidars: Path) -> None:
     strict = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--max-sigma", "0.1,0.2")

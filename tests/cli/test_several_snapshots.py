@@ -19,6 +19,7 @@ WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "r
 FEWER = ("--set", "fine.max_finalists=2")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_an_outlier_and_a_refused_snapshot_are_named(invoke: Invoke, snapshots: Path) -> None:
     sources = [snapshots / f"{name}.mcap" for name in ("first", "turned", "alone", "second")]

@@ -113,6 +113,7 @@ def test_comparisons_fit(shown, tmp_path):
     _assert_fits(shown, "evaluate", first, "--truth", truth, "--table", "paper")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
@@ -162,6 +163,7 @@ def _once(function):
     return call
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
@@ -194,6 +196,7 @@ def store(tmp_path_factory):
     return folder
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "question",

@@ -98,7 +98,7 @@ def reason(command: str) -> str:
 
 RUN = [section for section in sections() if not (section.commands and all(map(reason, section.commands)))]
 README, *OTHERS = RUN
-SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // 5, lambda section: section.page)]
+SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // 8, lambda section: section.page)]
 
 
 @pytest.fixture(scope="session")

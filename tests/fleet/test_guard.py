@@ -28,6 +28,7 @@ def rows(folder):
     return open_store(folder / "store", create=False).dataset("logs").to_table().to_pylist()
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     ("source", "reason", "words"),
     [

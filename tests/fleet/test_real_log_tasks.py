@@ -246,7 +246,8 @@ def test_an_address_that_is_no_scheduler_is_refused(fleet, tmp_path):
 )
 def test_a_signal_ends_the_run_with_its_workers(number, name, busy, fleet, tmp_path):
     store = open_store(tmp_path / "store", create=True)
-    command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(fleet), "--out", store.root]
+    logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if log.fault or log.vehicle == PLAN.events[0].vehicle])
+    command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(logs), "--out", store.root]
     with subprocess.Popen([*command, "--target", "left"], stderr=subprocess.PIPE, text=True) as driver:
         end_s = time.monotonic() + 60.0
         while time.monotonic() < end_s:

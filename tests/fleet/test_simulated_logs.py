@@ -43,6 +43,7 @@ def test_the_small_fleet_has_all_formats_and_faults() -> None:
     assert {event.kind for event in PLAN.events} == {"creep", "dead"}
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("log", intact(PLAN), ids=lambda log: log.path)
 def test_intact_logs_are_read(log: PlannedLog, folder: Path) -> None:
@@ -80,6 +81,7 @@ def test_a_duplicate_has_the_same_bytes(folder: Path) -> None:
     assert (folder / copy.path).read_bytes() == (folder / copy.duplicate_of).read_bytes()
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_any_number_of_workers_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     seen: list[str] = []

@@ -21,7 +21,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.selection import NIGHTLY
+from tests.selection import NIGHTLY, some_of
 
 pytestmark = pytest.mark.slow
 
@@ -284,7 +284,7 @@ def test_python_alone_calibrates_with_few_libraries(built: Path, tmp_path: Path)
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("extra", WANTED)
+@pytest.mark.parametrize("extra", some_of(WANTED, 2))
 def test_a_missing_extra_is_one_sentence(extra: str, installed: Installed) -> None:
     ended = installed.run("multilica", *WANTED[extra])
     assert ended.returncode == 1

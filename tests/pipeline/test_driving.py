@@ -72,6 +72,7 @@ def test_the_way_and_the_turn_are_right_or_bounds(
     assert ("at least" in refusal) == any(motion.at_least for motion in motions.values())
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("frames", [2, 3])
 def test_a_few_frames_at_high_speed_suffice(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
     snapshot = driven(monkeypatch, "street", 20.0, 0.0, frames)

@@ -57,6 +57,7 @@ def _shifted(pose):
     return shift @ pose
 
 
+@pytest.mark.in_turn
 def test_a_pair_whose_implied_pose_beams_contradict_is_searched(monkeypatch):
     def contradicted(lidars, pose):
         scored = pair_steps.score_implied(lidars, pose)
@@ -68,6 +69,7 @@ def test_a_pair_whose_implied_pose_beams_contradict_is_searched(monkeypatch):
     assert _registered_as_loops(seen) == []
 
 
+@pytest.mark.in_turn
 def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
     def carried_away(lidars, pose):
         found = pair_steps.register_implied(lidars, pose)
@@ -87,6 +89,7 @@ def test_a_pose_that_an_earlier_stop_found_is_tested_first():
     assert_true(result, sides().truth)
 
 
+@pytest.mark.in_turn
 def test_a_wrong_pose_of_an_earlier_stop_is_searched():
     found, _ = _found()
     wrong = {(pair.target, pair.source): _shifted(pair.T_target_source) for pair in found.pairs}
@@ -95,6 +98,7 @@ def test_a_wrong_pose_of_an_earlier_stop_is_searched():
     assert_true(result, sides().truth)
 
 
+@pytest.mark.in_turn
 def test_without_links_all_pairs_are_searched(monkeypatch):
     monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),)))
     result, seen = watched(_half(), "features.retry_voxel_sizes_m=[]")
@@ -102,6 +106,7 @@ def test_without_links_all_pairs_are_searched(monkeypatch):
     assert result.status == "failed"
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("until", ["correspond", "coarse", "verify"])
 def test_before_the_fine_stage_all_pairs_are_searched(until):
     _, seen = watched(only(sides().snapshot, "left", "right", "top", every=5), f"until={until}")
@@ -148,6 +153,7 @@ def test_unconnected_lidars_are_searched_again(monkeypatch, further):
     assert_true(result, sides().truth)
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize(("outcome", "searched"), [("undecided", False), ("uncertain", False), ("reject", True)])
 def test_only_a_rejected_pair_is_searched_again(monkeypatch, outcome, searched):
     verdict = Verdict(outcome, (Reason("made", 0.0, 1.0, "made"),))
@@ -159,6 +165,7 @@ def test_only_a_rejected_pair_is_searched_again(monkeypatch, outcome, searched):
     assert of(events.SearchWidened, seen) == []
 
 
+@pytest.mark.in_turn
 def test_a_doubted_pair_is_not_searched_again(monkeypatch):
     doubtful = Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),))
 
@@ -172,6 +179,7 @@ def test_a_doubted_pair_is_not_searched_again(monkeypatch):
     assert of(events.SearchWidened, seen) == []
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize(("code", "placed"), [("not_observable", True), ("ambiguous", False)])
 def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, code, placed):
     accept = pair_steps.accept
@@ -188,6 +196,7 @@ def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, cod
         assert_true(result, sides().truth)
 
 
+@pytest.mark.in_turn
 def test_merged_groups_count_as_pairs_of_their_members():
     """`right` is accepted against no single LiDAR here, but against two of them together."""
     snapshot = simulate_snapshot("chain", "street", 33, build_seed=33).snapshot
@@ -197,6 +206,7 @@ def test_merged_groups_count_as_pairs_of_their_members():
     assert all(pair.bias_information is not None for pair in result.trusted)
 
 
+@pytest.mark.in_turn
 def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
     strict, _ = watched(_half(), "acceptance.max_sigma_m=0.0004")
     assert strict.status == "partial"
@@ -210,6 +220,7 @@ def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
     assert [place.status for place in lenient.placements] == ["placed"] * 3
 
 
+@pytest.mark.in_turn
 def test_six_spinning_lidars_that_see_everything_are_placed():
     simulation = simulate_snapshot("ring6", "street", 12, frames=1, sensors="ideal")
     result, seen = watched(only(simulation.snapshot, *simulation.snapshot.names, every=2))

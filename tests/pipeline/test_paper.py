@@ -89,6 +89,7 @@ def test_one_lidar_is_8_m_off_as_with_the_published_code():
     assert np.linalg.norm(result["front"].T_target_source.xyz_m - [-0.663831, -1.365528, -0.147009]) > 8.0
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("name", _ALGORITHM1)
 def test_algorithm1_goes_as_far_as_the_published_code_and_ends(name):
     """The published code crashes after these placements, with LiDARs left that were merged into others."""

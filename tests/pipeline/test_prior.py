@@ -54,6 +54,7 @@ def _assert_same(one, other, metres=_SAME_M, radians=_SAME_RAD):
     assert apart_rad < radians
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "off",
@@ -80,6 +81,7 @@ def test_a_right_prior_places_what_the_descriptors_do_not_find():
     assert found.hypotheses[pair.hypothesis].origin == PRIOR
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("rpy_deg", [(0, 0, 180), (0, 90, 0)], ids=["backwards", "on its side"])
 def test_from_a_prior_turned_around_the_true_pose_is_found(rpy_deg):

@@ -33,6 +33,7 @@ def test_in_a_symmetric_garage_nothing_is_placed():
     assert all("ambiguous" in pair.verdict.codes for pair in result.pairs)
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_group_in_a_court_is_not_turned_either():
     """Two LiDARs that found each other fit the third at four poses, as each of them alone does."""
@@ -195,6 +196,7 @@ def test_the_paper_preset_runs():
     assert result.status == ("complete" if verdict.accepted else "failed")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "scene", "seed", "flow"),

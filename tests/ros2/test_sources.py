@@ -43,6 +43,7 @@ def test_nodes_give_the_poses_of_their_bag(log: Path, invoke: Invoke) -> None:
     assert all(lidar["prior"] for name, lidar in document["lidars"].items() if name != document["target"])
 
 
+@pytest.mark.in_turn
 @NEEDS_ROS2
 @pytest.mark.slow
 def test_lost_scans_cost_time_alone(log: Path, tmp_path: Path) -> None:
@@ -57,6 +58,7 @@ def test_lost_scans_cost_time_alone(log: Path, tmp_path: Path) -> None:
     assert {transform["child"] for transform in document["static_transforms"]} == {"front", "left", "rear", "right"}
 
 
+@pytest.mark.in_turn
 @NEEDS_ROS2
 @pytest.mark.slow
 def test_a_publisher_that_dies_ends_at_the_limit(log: Path, tmp_path: Path) -> None:

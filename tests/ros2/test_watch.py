@@ -27,6 +27,7 @@ def next_line(watch: subprocess.Popen[str], outcome: str) -> str:
     return next(line for line in watch.stdout if f" {outcome}: " in line)
 
 
+@pytest.mark.in_turn
 @NEEDS_ROS2
 @pytest.mark.slow
 def test_a_knock_is_told_after_nodes_started_again(tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def test_the_clouds_and_poses_come_back(runs):
         assert np.linalg.norm(TRUTH[name].apply(cloud), axis=1).min() < 8.0
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_scored_points_and_competing_pose_are_read_back(runs):
     state = RunState()
@@ -84,6 +85,7 @@ def test_a_report_made_anew_tells_the_same(runs):
         assert words in first
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_notes_are_shown_again(tmp_path):
     turned = TRUTH["rear"] @ RigidTransform.from_xyz_rpy("rear", "rear", (0, 0, 0), (0, 0, 2))
@@ -92,6 +94,7 @@ def test_notes_are_shown_again(tmp_path):
         assert "Note: rear is turned by 115 deg about its z axis" in page
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_killed_run_gets_its_report(runs):
     text = report_html(contents_of_run(runs["killed"]))

@@ -76,7 +76,7 @@ def apart(two_lidars: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("until", some_of(STAGES, 2))
+@pytest.mark.parametrize("until", some_of(STAGES, 1))
 def test_each_until_stops_after_its_stage(until, invoke: Invoke, two_lidars: Path, apart: Path):
     options = ("--target", "left", "--out", "run", "--until", until, "--ground", "--workers", "1")
     placed = invoke("calibrate", two_lidars, *options, "--quiet")

@@ -27,6 +27,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_commands_leave_nothing(temporary: Path, two_lidars: Path, invoke: Invoke) -> None:
     command = command_of_process("calibrate", two_lidars, "--out", "run", "--workers", "2")

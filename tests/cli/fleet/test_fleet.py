@@ -78,6 +78,7 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     assert len(rows(invoke("fleet", "failures", "--store", "store", "--format", "csv"))) == 2
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_logs_unlike_the_pattern_are_told(invoke: Invoke, tmp_path):
     for name in ("cars/v1", "trucks"):
@@ -181,6 +182,7 @@ def test_compaction_leaves_one_part_per_month(store, invoke: Invoke):
     assert rows(invoke("fleet", "status", "--store", store, "--format", "csv")) == before
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_the_catalog_listens_on_loopback_alone(tmp_path):
     store = open_store(tmp_path / "store", create=True)
@@ -212,6 +214,7 @@ def test_the_catalog_listens_on_loopback_alone(tmp_path):
     assert not alive
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("content", [b"", b"no Parquet"])
 def test_a_damaged_part_is_named(content, store, invoke: Invoke):
@@ -245,6 +248,7 @@ def test_a_damaged_store_is_repaired(store, invoke: Invoke):
     assert invoke("fleet", "repair", "--store", store).out == "No part is damaged.\n"
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_damaged_row_of_a_log_is_written_again(tmp_path, invoke: Invoke):
     (tmp_path / "v1").mkdir()

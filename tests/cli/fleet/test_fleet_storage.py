@@ -18,6 +18,7 @@ def log(snapshots, tmp_path):
     shutil.copy(snapshots / "first.mcap", tmp_path / "v1" / "log.mcap")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.usefixtures("log")
 def test_a_run_ends_at_a_store_that_refuses_and_goes_on(invoke: Invoke, tmp_path):
@@ -48,6 +49,7 @@ def disk(tmp_path):
     subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.usefixtures("log")
 @pytest.mark.parametrize("limit", ["size=3m", pytest.param("ro", marks=pytest.mark.nightly)])

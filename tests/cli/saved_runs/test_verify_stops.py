@@ -73,6 +73,7 @@ def test_the_stops_of_a_log_are_verified(invoke: Invoke, log: Path) -> None:
     assert first.code == ExitCode.DONE
 
 
+@pytest.mark.in_turn
 def test_the_stops_of_a_log_are_checked(invoke: Invoke, log: Path) -> None:
     given = ("--frames", "1", "--workers", "1", "--out", "run", "--json")
     outcome = invoke("check", log, "--against", log.with_name("known.toml"), *given)

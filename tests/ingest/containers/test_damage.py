@@ -102,6 +102,7 @@ def test_cut_off_anywhere(recording: Path, capfd: pytest.CaptureFixture[str]) ->
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_bytes_changed_anywhere(recording: Path, capfd: pytest.CaptureFixture[str]) -> None:
     content = recording.read_bytes()
@@ -144,6 +145,7 @@ def test_the_beginning_of_a_chunk_that_was_cut_off_is_used(tmp_path: Path, compr
     assert any("of 100 scans, then the file ends too early" in note for note in found.notes)
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "points"), [("plain.mcap", 500), ("zstd.mcap", 500), ("lz4.mcap", 500), ("bz2.bag", 42_000)]

@@ -185,9 +185,9 @@ def test_a_lidar_that_cannot_tell_leaves_it_to_another(tmp_path: Path) -> None:
     for time_s in np.arange(0.05, DURATION_S, 0.2):
         rng = np.random.default_rng(round(time_s * 100))
         ground = Scan(
-            np.column_stack([rng.uniform(-20.0, 20.0, (9000, 2)), rng.normal(-2.0, 0.01, 9000)]).astype(np.float32),
+            np.column_stack([rng.uniform(-20.0, 20.0, (6000, 2)), rng.normal(-2.0, 0.01, 6000)]).astype(np.float32),
             stamp_ns(time_s),
-            np.zeros(9000, np.float32),
+            np.zeros(6000, np.float32),
         )
         message = cloud_message(store, ground, "floor")
         messages.append(("/floor", CLOUD, stamp_ns(time_s), bytes(store.serialize_cdr(message, CLOUD))))

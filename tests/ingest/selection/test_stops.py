@@ -64,12 +64,15 @@ def drive() -> SimulatedDrive:
     return simulate_drive("small", "yard", 4, route="turning", **options)
 
 
-@pytest.fixture
-def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
-    write_ros2_mcap(drive.log, tmp_path / "drive.mcap")
-    return tmp_path / "drive.mcap"
+@pytest.fixture(scope="module")
+def log(drive: SimulatedDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its log, which no test changes."""
+    path = tmp_path_factory.mktemp("log") / "drive.mcap"
+    write_ros2_mcap(drive.log, path)
+    return path
 
 
+@pytest.mark.in_turn
 def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
@@ -174,15 +177,17 @@ def test_a_drive_with_one_standstill_is_read_as_before(drive: SimulatedDrive, tm
     assert_read_as_one(tmp_path / "a.mcap")
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("chosen", [{"start_s": 1.0}, {"window": "auto"}, {"window_s": 0.5}])
 def test_chosen_frames_come_before_stops(log: Path, chosen: dict[str, object]) -> None:
     assert_read_as_one(log, FEW.model_copy(update=chosen))
 
 
-def test_a_log_without_index_is_searched_only_on_demand(log: Path) -> None:
-    log.write_bytes(log.read_bytes()[:-1000])
-    assert_read_as_one(log)
-    assert len(stops_of_log([log], 3, config=FEW)) == 3
+def test_a_log_without_index_is_searched_only_on_demand(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:-1000])
+    assert_read_as_one(cut)
+    assert len(stops_of_log([cut], 3, config=FEW)) == 3
 
 
 def test_stops_that_take_too_much_memory_are_left_out(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,6 +278,7 @@ def test_stops_after_some_time(drive: SimulatedDrive, log: Path) -> None:
     assert stop.why == "It is the longest standstill."
 
 
+@pytest.mark.in_turn
 def test_a_metre_further_is_no_new_stop(tmp_path: Path) -> None:
     options = {"stops": 2, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}
     drive = simulate_drive("small", "yard", 4, route="straight", step_m=1.0, **options)
@@ -304,10 +310,10 @@ def test_a_log_of_a_single_frame_is_a_stop(drive: SimulatedDrive, tmp_path: Path
     assert inspect_source(tmp_path / "a.mcap").standstills == ()
 
 
-def test_a_log_that_ends_too_early_has_the_stops_before(drive: SimulatedDrive, log: Path) -> None:
-    data = log.read_bytes()
-    log.write_bytes(data[: int(0.75 * len(data))])
-    stops = find_stops(log, config=FEW)
+def test_a_log_that_ends_too_early_has_the_stops_before(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
+    data, cut = log.read_bytes(), tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(0.75 * len(data))])
+    stops = find_stops(cut, config=FEW)
     assert 1 <= len(stops) <= 2
     for stop, (first_ns, last_ns) in zip(stops, drive.spans_ns, strict=False):
         assert first_ns - SLOW_NS <= stop.span_ns[0] < stop.span_ns[1] <= last_ns + SLOW_NS

@@ -147,6 +147,7 @@ def test_a_run_that_never_started_leaves_an_earlier_one_alone(finished, tmp_path
     assert files_in(tmp_path) == before
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("moved", range(8))
 def test_the_next_run_finishes_a_replacement_that_was_killed(finished, tmp_path, monkeypatch, moved):
@@ -170,6 +171,7 @@ def test_the_next_run_finishes_a_replacement_that_was_killed(finished, tmp_path,
     assert {path.name for path in tmp_path.iterdir()} == NAMES
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("listed", ['["../mine.txt", "config.toml"]', "not JSON", "7", "[1]"])
 def test_a_list_that_no_run_wrote_moves_nothing_else(finished, tmp_path, listed):

@@ -27,6 +27,7 @@ def test_rerun_accepts_the_file(recordings, rerun_rrd):
         assert verdict.returncode == 0, verdict.stderr
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_two_runs_record_the_same(recordings, rerun_rrd, tmp_path):
     again = record(tmp_path / "again.rrd")

@@ -23,6 +23,10 @@ def test_shows(): pass
 @pytest.mark.nightly
 def test_nightly(): pass
 
+@pytest.mark.in_turn
+@pytest.mark.parametrize("turn", range(30))
+def test_in_turn(turn): pass
+
 @pytest.mark.parametrize("seed", seeds(2, at_night=4))
 def test_seed(seed): assert seed >= 0
 """
@@ -80,6 +84,16 @@ def test_the_seed_of_a_push_can_be_repeated(monkeypatch):
     assert selection.some_of("abcde", 4) == [*"abcde"]
 
 
+def test_each_test_has_its_turn(monkeypatch):
+    names = [f"tests/test_made.py::test_made[{number}]" for number in range(300)]
+    turns = []
+    for seed in range(selection.TURNS):
+        monkeypatch.setattr(selection, "push_seed", lambda seed=seed: seed)
+        turns.append({name for name in names if selection.has_its_turn(name)})
+    assert sorted(name for turn in turns for name in turn) == sorted(names)
+    assert min(map(len, turns)) > 80
+
+
 def test_cases_whose_path_changed_are_chosen(monkeypatch):
     monkeypatch.setattr(selection, "NIGHTLY", False)
     monkeypatch.setattr(selection, "push_seed", lambda: 1)
@@ -94,7 +108,7 @@ def test_the_longest_files_exist():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("variables", "passed", "seed"), [({"MULTILICA_SEED": "7"}, 3, "[8]"), ({"MULTILICA_NIGHTLY": "1"}, 6, "[3]")]
+    ("variables", "passed", "seed"), [({"MULTILICA_SEED": "7"}, 15, "[8]"), ({"MULTILICA_NIGHTLY": "1"}, 36, "[3]")]
 )
 def test_a_night_runs_all(tmp_path, variables, passed, seed):
     (tmp_path / "test_made.py").write_text(TESTS, encoding="utf-8")

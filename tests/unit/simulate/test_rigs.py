@@ -47,20 +47,21 @@ def test_no_lidar_sits_inside_the_body(rig):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", ["ring6", "sectors20", "truck"])
 @pytest.mark.parametrize("scene", sorted({*SCENES} - {"fence_field"}))
-def test_scenes_make_room(rig, scene):
-    low_m, high_m = RIGS[rig].room_m
-    for seed in range(3):
-        cleared = SCENES[scene](np.random.default_rng(seed)).with_room_for(low_m, high_m)
-        in_base = merged(cleared.parts).transformed(cleared.T_world_base.inverse())
-        assert not reaches_into(in_base, low_m, high_m)
+def test_scenes_make_room(scene):
+    for seed in some_of(range(3), 1):
+        built = SCENES[scene](np.random.default_rng(seed))
+        for rig in ("ring6", "sectors20", "truck"):
+            low_m, high_m = RIGS[rig].room_m
+            cleared = built.with_room_for(low_m, high_m)
+            in_base = merged(cleared.parts).transformed(cleared.T_world_base.inverse())
+            assert not reaches_into(in_base, low_m, high_m), rig
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", sorted(SCENES))
 def test_room_for_a_car_changes_nothing(scene):
-    for seed in some_of(range(5), 2):
+    for seed in some_of(range(5), 1):
         built = SCENES[scene](np.random.default_rng(seed))
         for rig in ("blind", "chain", "edgar", "helipr", "sides"):
             assert len(built.with_room_for(*RIGS[rig].room_m).parts) == len(built.parts)

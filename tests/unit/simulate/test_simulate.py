@@ -93,6 +93,7 @@ def test_the_same_vehicle_stands_in_another_scene():
     assert second.snapshot.source == "simulation sides/garage/seed 2, vehicle 1"
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", DECIDABLE_SCENES)
 def test_truth_lays_clouds_onto_each_other(scene):
@@ -143,6 +144,7 @@ def test_returns_stay_within_the_field_of_view(rig):
         assert mount.sensor.min_range_m - off_m <= ranges.min() < ranges.max() <= mount.sensor.max_range_m + off_m
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", sorted(RIGS))
 def test_built_rig_is_near_its_drawing_but_not_on_it(rig):
