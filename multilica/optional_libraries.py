@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
-from types import ModuleType
 from typing import NoReturn
 
 from multilica.errors import MissingDependencyError
@@ -114,25 +113,6 @@ def leave_out_pandas() -> None:
             pa.array([""])
         finally:
             sys.meta_path.remove(_RefusingPandas)
-
-
-def leave_out_tools_of_numpy() -> None:
-    """Import SciPy without a compiler and test tools of NumPy, which it loads with all names of NumPy and does not use.
-
-    They take longer than NumPy itself. What imports them afterwards gets them.
-    """
-    if "scipy.special" in sys.modules:
-        return
-    import numpy as np
-
-    names = vars(np)
-    stubs = {name: ModuleType(f"numpy.{name}") for name in ("f2py", "testing") if name not in names}
-    names |= stubs
-    try:
-        import scipy.special  # noqa: F401
-    finally:
-        for name in stubs:
-            del names[name]
 
 
 @contextmanager

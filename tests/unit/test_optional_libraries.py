@@ -121,14 +121,3 @@ def test_pandas_is_left_out_of_pyarrow_alone(tmp_path: Path) -> None:
     )
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": paths})
-
-
-def test_tools_of_numpy_are_left_out_of_scipy_alone() -> None:
-    code = (
-        "import sys; from multilica.optional_libraries import leave_out_tools_of_numpy; leave_out_tools_of_numpy(); "
-        "import scipy.linalg, scipy.ndimage, scipy.special, scipy.spatial.transform, numpy; tools = 'f2py', 'testing'; "
-        "assert not any(f'numpy.{tool}' in sys.modules for tool in tools); "
-        "assert all(getattr(numpy, tool).__spec__ for tool in tools)"
-    )
-    paths = os.pathsep.join(sys.path)
-    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": paths})

@@ -134,14 +134,12 @@ def calibrate(
     resolve = partial(parameters.resolve, given)
     with open_calibration_workers(resolve()) as pool:
         # Imported while the workers start.
-        from multilica.optional_libraries import leave_out_pandas, leave_out_tools_of_numpy
-
-        leave_out_tools_of_numpy()
-        leave_out_pandas()
         from multilica.ingest import frames_recorded
+        from multilica.optional_libraries import leave_out_pandas
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress, tell_listening
 
+        leave_out_pandas()
         files = located(sources)
         config = resolve(frames_recorded(files))
         tell_listening(files, config.ingest, quiet=quiet)
@@ -172,15 +170,13 @@ def demo(
     quiet: Quiet = False,
 ) -> int:
     """Calibrate the embedded sample and compare the result with the ground truth."""
-    from multilica.optional_libraries import leave_out_pandas, leave_out_tools_of_numpy
-
-    leave_out_tools_of_numpy()
-    leave_out_pandas()
     from multilica.config import preset
     from multilica.exports import read_extrinsics
+    from multilica.optional_libraries import leave_out_pandas
     from multilica.run import run_calibration
     from multilica_cli.progress import show_progress
 
+    leave_out_pandas()
     sample = find_sample()
     with show_progress(quiet=quiet) as observe:
         run = run_calibration(sample.recording, out, preset("default"), observe=observe)

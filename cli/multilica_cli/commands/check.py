@@ -102,9 +102,6 @@ def check(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.optional_libraries import leave_out_pandas, leave_out_tools_of_numpy
-
-    leave_out_tools_of_numpy()
     from multilica.checks import check_rig, decide_unplaced, read_reference, settle_stops, verify_stops
     from multilica.runs.run_documents import is_run, read_run_document, saved_run
 
@@ -118,6 +115,7 @@ def check(
     directories = [Path(source) for source in sources]
     if not all(runs):
         from multilica.ingest.locate import locate
+        from multilica.optional_libraries import leave_out_pandas
         from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
@@ -165,9 +163,6 @@ def verify(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.optional_libraries import leave_out_tools_of_numpy
-
-    leave_out_tools_of_numpy()
     from multilica.checks import read_reference, verify_stops
     from multilica.ingest import frames_recorded, read_drive
     from multilica.ingest.locate import locate
