@@ -174,9 +174,9 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
 
 
 def _excess(expected: FloatArray, found: FloatArray) -> float:
-    """Return how many times larger the variance of a pose is than its information says, in the mean over six directions.
+    """Return how many times larger the variance of a pose is than its information says: the mean of six directions.
 
-    The surfaces can contradict each other in what they say of the biases too. At least 1.
+    It is at least 1. The surfaces can contradict each other in what they say of the biases too.
     """
     return max(1.0, float(np.trace(np.linalg.solve(expected, found))) / len(expected))
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Derivatives of the plane fit and the information of its result, against differences and plain sums."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
@@ -114,6 +116,15 @@ def _on_pose(spread, change):
     return whole @ spread @ whole.T
 
 
+def _surfaces(points_m, normals):
+    """Return the surface (N,) of each point: a cell of 6 m with the main axis of the normal."""
+    return _clusters(np.column_stack([np.floor(points_m / 6.0), np.argmax(np.abs(normals), axis=1)]))
+
+
+def _lighter(weight, information, gradient, *spreads):
+    return information / weight, gradient / weight, *(each / weight**2 for each in spreads)
+
+
 @pytest.mark.parametrize("turn_rad", TURNS_RAD)
 def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
@@ -128,9 +139,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     jacobian, bands, rings = _by_all_unknowns(target, overlap, here, pose)
     pulls = here.weight[:, None] * jacobian
     # The surfaces are those at the pose that the fit began with.
-    placed_m, normals = pose.apply(overlap.points_m), pose.rotate(overlap.normals)
-    surfaces = np.column_stack([np.floor(placed_m / 6.0), np.argmax(np.abs(normals), axis=1)])
-    surfaces = _clusters(surfaces[here.rows])
+    surfaces = _surfaces(pose.apply(overlap.points_m)[here.rows], pose.rotate(overlap.normals)[here.rows])
 
     def squared(clusters, factors=here.residual_m):
         sums = _summed(factors[:, None] * pulls, clusters)
@@ -143,8 +152,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     remaining, _ = plane_fit._floored(remaining, noise)
     alike = squared(surfaces, np.ones(len(pulls)))
     uneven = plane_fit._SURFACE_SIGMA_M**2 * alike
-    by_surfaces = (squared(surfaces) + uneven + noise)[:6, :6]
-    variance = np.median(eigh(by_surfaces, remaining[:6, :6], eigvals_only=True))
+    variance = np.median(eigh((squared(surfaces) + uneven + noise)[:6, :6], remaining[:6, :6], eigvals_only=True))
     information, gradient = remaining / variance, pulls.T @ here.residual_m / variance
     sigmas = np.concatenate([_BIAS_SIGMAS, *(ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings)])
     state = np.concatenate([_BIASES, np.zeros(len(sigmas) - 8)])
@@ -162,12 +170,11 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     random = patches + noise
     spreads = [each / variance**2 for each in (systematic + few + noise, random, few)]
     information, gradient, spread, random, few = plane_fit._weighted(information, gradient, *spreads)
-    of_pair = posterior(information, gradient, state, sigmas, spread, rings=counts, prior=first.prior).covariance
-    expected = posterior(information, gradient, state, sigmas, rings=counts, prior=first.prior).covariance
-    excess = max(1.0, np.mean(eigh(of_pair, expected, eigvals_only=True)))
-    information, gradient = information / excess, gradient / excess
-    spread, random, few = (each / excess**2 for each in (spread, random, few))
-    found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS).biases
+    solve = partial(posterior, information, gradient, state, sigmas, rings=counts, prior=first.prior)
+    excess = max(1.0, np.mean(eigh(solve(spread).covariance, solve().covariance, eigvals_only=True)))
+    information, gradient, spread, random, few = _lighter(excess, information, gradient, spread, random, few)
+    fitted = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
+    found = fitted.biases
     assert all(map(np.array_equal, (found.target_rings, found.source_rings), rings))
     assert_alike(found.information, information, 1e-5)
     assert_alike(found.spread, spread, 1e-5)
@@ -175,7 +182,6 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     assert_alike(found.few_spread, few, 1e-5)
     known = posterior(information, gradient, state, sigmas, rings=counts, prior=first.prior)
     assert_alike(found.biases, state + known.step[6:], 1e-5)
-    fitted = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
     assert np.allclose(fitted.pose.offset_from(moved(pose, known.step[:3], known.step[3:6])), 0.0, atol=1e-8)
     # At the new pose and biases the gradient is that of the prior.
     known = posterior(
