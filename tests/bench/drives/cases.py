@@ -18,6 +18,7 @@ class Row:
         places: scenes with the route through each.
         parked: cars that leave or come between the stops.
         knock: one LiDAR moves by 2 cm between stops 2 and 3.
+        logged: with the frames on the way, for the odometry of the LiDARs, ours and the peer's.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Row:
     stops: tuple[int, ...] = (4,)
     parked: int = 0
     knock: bool = False
+    logged: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,7 @@ STRAIGHT = (
         "no common view, straight on",
         ("front_back", "corners", "trailer"),
         (("street", "straight"), ("town", "straight"), ("motorway", "straight")),
+        logged=True,
     ),
 )
 NARROW = (
@@ -79,6 +82,14 @@ NARROW = (
     ),
     Row("sides in the field", ("sides",), (("open_field", "turning"), ("open_field", "straight"))),
     Row("motorways", ("narrow4", "chain", "sides"), (("motorway", "straight"), ("motorway_exit", "exit"))),
+)
+BESIDE_HAND_EYE = (
+    Row(
+        "with the frames on the way",
+        ("front_back", "corners", "narrow4", "edgar", "sides", "chain", "trailer"),
+        (("street", "turning"), ("yard", "yard")),
+        logged=True,
+    ),
 )
 LOOK_ALIKE = (
     Row(

@@ -24,6 +24,7 @@ from multilica.results import CalibrationResult, DriveView, Knock, LidarPlacemen
 from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
 from multilica.snapshot import Snapshot
 from tests.bench.drives.cases import DriveCase
+from tests.bench.drives.ways import in_plane_mm, offsets_of_hand_eye_m, ways_of
 
 _FRAMES = 3
 _KNOCK_M, _KNOCKED_FROM = 0.02, 2
@@ -43,6 +44,7 @@ class LidarOutcome:
         offset: (6,) of its pose from the truth, rotation and translation along the target's axes; None without a pose.
         distance: Mahalanobis distance from the truth.
         alone_mm: error without links between the stops; None where it is not placed then.
+        in_plane_mm: horizontal error of ours and of the peer; None where the frames on the way are not simulated.
     """
 
     lidar: str
@@ -50,6 +52,7 @@ class LidarOutcome:
     offset: FloatArray | None = None
     distance: float = float("nan")
     alone_mm: float | None = None
+    in_plane_mm: tuple[float, float] | None = None
 
     @property
     def placed(self) -> bool:
@@ -151,13 +154,14 @@ def run_drive(case: DriveCase) -> DriveOutcome:
             return one
 
         stops = {f"stop {number}": alone_at(f"stop {number}", each) for number, each in enumerate(made.snapshots, 1)}
-        joint = calibrate_jointly(stops, config, workers, inf)
+        joint = calibrate_jointly(stops, config, workers, inf, ways_of(made) if case.row.logged else {})
         cpu_s = time.process_time() - start_s
     result = joint.result
     without = join(runs, with_overrides(config, [f"target={result.target}"]))
     alone = {each.lidar: each for each in without.placements}
+    by_hand_eye = offsets_of_hand_eye_m(made, result.target) if case.row.logged else {}
     lidars = [
-        _lidar(made, result.target, each, alone[each.lidar])
+        _lidar(made, result.target, each, alone[each.lidar], by_hand_eye.get(each.lidar))
         for each in result.placements
         if each.lidar != result.target
     ]
@@ -191,6 +195,7 @@ def simulate(case: DriveCase) -> tuple[SimulatedDrive, str]:
                 parked=case.row.parked,
                 moved=moved,
                 moved_from=_KNOCKED_FROM if moved else 0,
+                with_log=case.row.logged,
             )
         except UsageError:
             continue
@@ -206,7 +211,9 @@ def _knock(case: DriveCase, seed: int) -> tuple[str, dict[str, RigidTransform]]:
     return lidar, {lidar: RigidTransform.from_rotation_translation(lidar, lidar, np.eye(3), shift_m)}
 
 
-def _lidar(made: SimulatedDrive, target: str, found: LidarPlacement, alone: LidarPlacement) -> LidarOutcome:
+def _lidar(
+    made: SimulatedDrive, target: str, found: LidarPlacement, alone: LidarPlacement, hand_eye_m: FloatArray | None
+) -> LidarOutcome:
     offset = _offset(made, target, found)
     if offset is None:
         return LidarOutcome(found.lidar, found.status)
@@ -215,7 +222,10 @@ def _lidar(made: SimulatedDrive, target: str, found: LidarPlacement, alone: Lida
     )
     without = _offset(made, target, alone) if alone.placed else None
     alone_mm = None if without is None else 1e3 * float(np.linalg.norm(without[3:]))
-    return LidarOutcome(found.lidar, found.status, offset, distance, alone_mm)
+    in_plane = None
+    if hand_eye_m is not None:
+        in_plane = in_plane_mm(made, target, offset[3:]), in_plane_mm(made, target, hand_eye_m)
+    return LidarOutcome(found.lidar, found.status, offset, distance, alone_mm, in_plane)
 
 
 def _offset(made: SimulatedDrive, target: str, found: LidarPlacement) -> FloatArray | None:

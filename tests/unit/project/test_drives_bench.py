@@ -13,10 +13,13 @@ from multilica.geometry import RigidTransform
 from multilica.results import Knock, PairRegistration, Verdict, ViewPair
 from multilica.simulate import RIGS, ROUTES, SCENES, simulate_drive
 from tests.bench.drives import drives
-from tests.bench.drives.cases import KNOCK, TURNING, drives_of
+from tests.bench.drives.cases import BESIDE_HAND_EYE, KNOCK, STRAIGHT, TURNING, drives_of
 from tests.bench.drives.outcomes import DriveOutcome, LidarOutcome, LinkOutcome, link_outcome
+from tests.bench.drives.ways import in_plane_mm
 
-_TURNING, _KNOCKED = (next(drives_of(rows[0], 1, 5000)) for rows in (TURNING, KNOCK))
+_TURNING, _KNOCKED, _STRAIGHT, _LOGGED = (
+    next(drives_of(rows[0], 1, 5000)) for rows in (TURNING, KNOCK, STRAIGHT, BESIDE_HAND_EYE)
+)
 
 
 def _lidar(status="placed", off_m=0.0, off_deg=0.0, distance=1.0) -> LidarOutcome:
@@ -63,6 +66,10 @@ def test_only_a_placed_lidar_is_right_or_wrong(lidar, right, wrong, beyond):
         ([_drive(case=_KNOCKED, knocks=(_HIT,))] * 19 + [_drive(case=_KNOCKED)], []),
         ([_drive(case=_KNOCKED, knocks=(_HIT,))] * 18 + [_drive(case=_KNOCKED)] * 2, ["knocks of 2 cm named"]),
         ([_drive(case=_KNOCKED, knocks=(replace(_HIT, after="stop 4"),))], ["knocks of 2 cm named"]),
+        ([_drive(case=_STRAIGHT)] * 8 + [_drive(_NOWHERE, case=_STRAIGHT)] * 2, []),
+        ([_drive(case=_STRAIGHT)] * 7 + [_drive(_NOWHERE, case=_STRAIGHT)] * 3, ["no common view, straight"]),
+        ([_drive(replace(_RIGHT, in_plane_mm=(3.0, 40.0)), case=_LOGGED)], []),
+        ([_drive(replace(_RIGHT, in_plane_mm=(5.0, 4.0)), case=_LOGGED)], ["front_back: median error in the plane"]),
     ],
 )
 def test_each_claim_on_drives_can_fail(found, failing):
@@ -81,6 +88,13 @@ def test_a_link_is_compared_with_the_true_poses():
         found = link_outcome(made, ViewPair(pair, "stop 1", "stop 2"))
         assert found.off_m == pytest.approx(off_m, abs=1e-6)
         assert found.wrong is wrong
+
+
+def test_an_error_in_the_plane_has_no_height():
+    made = simulate_drive("front_back", "street", 5, stops=2, frames=1, sensors="ideal", keep_every=50)
+    T_front_base = made.truth.T_target_source["front"].inverse()
+    offset_m = T_front_base.rotate(np.array([[0.03, 0.04, 2.0]]))[0]
+    assert in_plane_mm(made, "front", offset_m) == pytest.approx(50.0)
 
 
 def test_each_row_has_drives_that_can_be_simulated(monkeypatch, capsys):
