@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Spread
+from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig, refine
 
 
@@ -89,19 +90,22 @@ def spread_of(estimates: Sequence[Estimate]) -> Spread:
 
 
 def scatter_ratio(estimates: Sequence[Estimate]) -> FloatArray:
-    """Compute the (6,) ratios of the measured scatter to that which the covariances predict, at least 1.
+    """Compute the (6,) ratios of the measured scatter to that which the covariances predict.
 
     Per axis Birge's ratio (Phys. Rev. 40, 1932): the square root of chi squared per degree of freedom about the
     weighted mean. The standard error of the mean times this ratio agrees with the measured scatter. Unlike the plain
-    standard error it lets a snapshot with a large covariance scatter accordingly.
+    standard error it lets a snapshot with a large covariance scatter accordingly. Every other set of snapshots scatters
+    more than predicted. So the ratio is 1 unless the probability of chi squared is below `LEAST_PROBABILITY`.
     """
-    if len(estimates) < 2:
+    freedom = len(estimates) - 1
+    if freedom < 1:
         return np.ones(6)
     offsets = _offsets(estimates)
     weights = 1.0 / np.array([np.diag(estimate.covariance) for estimate in estimates])
     mean = np.sum(weights * offsets, axis=0) / np.sum(weights, axis=0)
     chi_squared = np.sum(weights * (offsets - mean) ** 2, axis=0)
-    return np.asarray(np.sqrt(np.maximum(1.0, chi_squared / (len(estimates) - 1))))
+    by_chance = chdtrc(freedom, chi_squared) >= LEAST_PROBABILITY
+    return np.where(by_chance, 1.0, np.sqrt(chi_squared / freedom))
 
 
 def _offsets(estimates: Sequence[Estimate]) -> FloatArray:

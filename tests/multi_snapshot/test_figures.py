@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, join
@@ -22,6 +23,9 @@ _OFFSETS = np.array(
         [0.005, 0.002, -0.003, -0.020, 0.040, 0.021],
     ]
 )
+
+
+_SCALES = np.array([1.0, 3.0, 0.5])
 
 
 def _moved(offset):
@@ -63,19 +67,30 @@ def test_the_spread_is_the_sample_deviation_by_axis():
     assert spread.rotation_deg == pytest.approx(np.degrees(np.std(_OFFSETS[:, :3], axis=0, ddof=1)), rel=5e-3)
 
 
-def test_the_scatter_is_chi_squared_about_the_weighted_mean():
-    scales = np.array([1.0, 3.0, 0.5])
-    estimates = [
-        Estimate(_moved(offset), np.diag((scale * _SIGMAS) ** 2))
-        for offset, scale in zip(_OFFSETS, scales, strict=True)
+def _estimates(size):
+    """Three estimates with the scatter of the offsets, and with covariances of that size."""
+    return [
+        Estimate(_moved(offset), np.diag((size * scale * _SIGMAS) ** 2))
+        for offset, scale in zip(_OFFSETS, _SCALES, strict=True)
     ]
-    weights = np.outer(scales**-2.0, _SIGMAS**-2.0)
+
+
+def test_the_scatter_is_chi_squared_about_the_weighted_mean():
+    size = 0.1
+    weights = np.outer((size * _SCALES) ** -2.0, _SIGMAS**-2.0)
     mean = (weights * _OFFSETS).sum(axis=0) / weights.sum(axis=0)
     expected = np.sqrt((weights * (_OFFSETS - mean) ** 2).sum(axis=0) / 2.0)
-    assert np.all(expected > 1.0)
-    assert scatter_ratio(estimates) == pytest.approx(expected, rel=5e-3)
-    alike = [replace(each, pose=_POSE) for each in estimates]
+    assert scatter_ratio(_estimates(size)) == pytest.approx(expected, rel=5e-3)
+    alike = [replace(each, pose=_POSE) for each in _estimates(size)]
     assert np.array_equal(scatter_ratio(alike), np.ones(6))
+
+
+def test_a_scatter_that_chance_explains_widens_nothing():
+    """Two degrees of freedom: chi squared above 13.8 has a probability of 0.001."""
+    largest = scatter_ratio(_estimates(0.1)).max()
+    limit = 0.1 * largest / np.sqrt(chi2.isf(0.001, 2) / 2.0)
+    assert np.array_equal(scatter_ratio(_estimates(1.01 * limit)), np.ones(6))
+    assert scatter_ratio(_estimates(0.99 * limit)).max() == pytest.approx(np.sqrt(chi2.isf(0.001, 2) / 2.0) / 0.99)
 
 
 @pytest.mark.parametrize(
