@@ -130,7 +130,7 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
 
     The spread is that of the residuals which these leave. With it, directions in which the surfaces contradict each
     other lose weight, so that other pairs and snapshots decide them. The pair as a whole loses weight if its variance
-    is larger than its information says.
+    is larger than its information says; the prior of the biases is then found once more.
     """
     residuals = find_residuals(overlap, pose, biases)
     if residuals is None:
@@ -166,7 +166,7 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     excess = _excess(solved(information, gradient).covariance, solved(information, gradient, spread=spread).covariance)
     information, gradient = information / excess, gradient / excess
     spread, random, few = (each / excess**2 for each in (spread, random, few))
-    known = solved(information, gradient, spread=spread, random_spread=random)
+    known = posterior(information, gradient, biases, sigmas, spread, random, counts)
     gradient, biases = gradient + information @ known.step, biases + known.step[6:]
     of_biases = BiasInformation(information, gradient, spread, random, biases, target_rings, source_rings, few)
     pose = moved(pose, known.step[:3], known.step[3:6])

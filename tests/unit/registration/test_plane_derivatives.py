@@ -180,12 +180,12 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     assert_alike(found.spread, spread, 1e-5)
     assert_alike(found.random_spread, random, 1e-5)
     assert_alike(found.few_spread, few, 1e-5)
-    known = posterior(information, gradient, state, sigmas, rings=counts, prior=first.prior)
+    known = posterior(information, gradient, state, sigmas, rings=counts)
     assert_alike(found.biases, state + known.step[6:], 1e-5)
     assert np.allclose(fitted.pose.offset_from(moved(pose, known.step[:3], known.step[3:6])), 0.0, atol=1e-8)
     # At the new pose and biases the gradient is that of the prior.
     known = posterior(
-        found.information, found.gradient, found.biases, sigmas, found.spread, found.random_spread, counts, first.prior
+        found.information, found.gradient, found.biases, sigmas, found.spread, found.random_spread, counts, known.prior
     )
     assert np.abs(known.step[:6]).max() < 1e-7
     assert_alike(np.linalg.inv(fitted.information), known.covariance, 1e-5)
