@@ -64,8 +64,11 @@ def merge_pairs(state: CalibrationState) -> None:
     groups: dict[PairKey, tuple[Group, Group]] = {}
 
     def register(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
-        groups[group.root, other.root] = group, other
-        return _register_groups(state, group, other, pairs)
+        found = _register_groups(state, group, other, pairs)
+        if found is not None:  # either group is its target
+            of_roots = {group.root: group, other.root: other}
+            groups[found.target, found.source] = of_roots[found.target], of_roots[found.source]
+        return found
 
     def register_again(group: Group, other: Group, pair: PairRegistration) -> PairRegistration | None:
         if state.config.verify.enabled:

@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration.member_pairs import fit_members
 from multilica.orchestration.pairs import prepare_lidar
+from multilica.pipeline import calibrate
 from multilica.results import Group
+from multilica.simulate import simulate_snapshot
 from tests.unit.made_pairs import pair
 from tests.unit.made_rooms import HALL, scan
 
@@ -66,3 +68,13 @@ def test_members_that_do_not_meet_leave_the_registration(lidars):
 def test_fits_that_end_elsewhere_are_left_out(lidars):
     merge = _merge((0.08, 0.0, 0.0))
     assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
+
+
+@pytest.mark.slow
+def test_a_merge_counts_as_its_members_whichever_group_is_its_target():
+    """The group of the target LiDAR is the source of its merge here."""
+    made = simulate_snapshot("chain", "parking", 3211, build_seed=3201, sensors="real")
+    config = with_overrides(_CONFIG, ["target=front_left", "runtime.workers=1"])
+    trusted = calibrate(made.snapshot, config).trusted
+    assert {name for pair in trusted for name in pair.lidars} == {*made.snapshot.names}
+    assert all(pair.bias_information is not None for pair in trusted)
