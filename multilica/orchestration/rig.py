@@ -65,9 +65,7 @@ def merge_pairs(state: CalibrationState) -> None:
 
     def register(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
         found = _register_groups(state, group, other, pairs)
-        if found is not None:  # either group is its target
-            of_roots = {group.root: group, other.root: other}
-            groups[found.target, found.source] = of_roots[found.target], of_roots[found.source]
+        groups.update(_groups_of(found, group, other))
         return found
 
     def register_again(group: Group, other: Group, pair: PairRegistration) -> PairRegistration | None:
@@ -96,6 +94,14 @@ def merge_pairs(state: CalibrationState) -> None:
             state.merges.append(_member_pairs(state, step.chosen, groups))
         state.group = step.groups[0]
         state.observe(events.MergeStepTaken(step.decision, tuple(step.grown.poses.values())))
+
+
+def _groups_of(found: PairRegistration | None, *groups: Group) -> dict[PairKey, tuple[Group, Group]]:
+    """Return the target's and the source's group of a registration; either of both is its target."""
+    if found is None:
+        return {}
+    of_roots = {group.root: group for group in groups}
+    return {(found.target, found.source): (of_roots[found.target], of_roots[found.source])}
 
 
 def _member_pairs(
