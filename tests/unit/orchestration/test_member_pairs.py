@@ -71,7 +71,7 @@ def test_fits_that_end_elsewhere_are_left_out(lidars):
 
 
 @pytest.mark.slow
-def test_a_merge_counts_as_its_members_whichever_group_is_its_target():
+def test_a_merge_whose_target_joins_counts_as_its_members():
     """The group of the target LiDAR is the source of its merge here."""
     made = simulate_snapshot("chain", "parking", 3211, build_seed=3201, sensors="real")
     config = with_overrides(_CONFIG, ["target=front_left", "runtime.workers=1"])
