@@ -24,7 +24,8 @@ _RING_DEG = 1.0
 _RING_ANGLE = 8.0
 
 # The mean of all azimuths defines the frame of a LiDAR, so it is no bias. Pairs do not see all rings: the variance of
-# the mean of those that they see is a thirteenth of that of independent ones, and less over several snapshots.
+# the mean of those that they see is a thirty-first of that of independent ones. With a thirteenth, the yaw's sigma
+# over several snapshots was a third larger than the errors of simulated vehicles.
 _MEAN_AZIMUTH = 30.0
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
