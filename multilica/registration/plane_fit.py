@@ -28,6 +28,8 @@ _MIN_SIGMA_M = 0.005
 
 # A tenth of a millimetre is below the sigma of every placed LiDAR.
 _SETTLED_M = 1e-4
+# From such a step on, the prior of the biases stays as it is.
+_NEARLY_SETTLED_M = 1e-3
 _ITERATIONS = 15
 # Matches follow their points, so a step of Gauss and Newton goes about half of the way.
 _RELAXATION = 1.5
@@ -81,7 +83,7 @@ def fit_planes(
         If too few points match, the given pose alone; if the fit moves the pose by more than 0.2 m, the given one.
     """
     overlap = find_overlap(target, source, T_target_source)
-    pose, biases = T_target_source, np.zeros(2 * BIAS_COUNT)
+    pose, biases, prior = T_target_source, np.zeros(2 * BIAS_COUNT), None
     for _ in range(_ITERATIONS):
         residuals = find_residuals(overlap, pose, biases)
         if residuals is None:
@@ -94,10 +96,13 @@ def fit_planes(
         )
         variance = _usual_variance(hessian, spread)
         gradient = weighted.T @ residuals.residual_m
-        step = posterior(hessian / variance, gradient / variance, biases, bias_sigmas).step * _RELAXATION
+        known = posterior(hessian / variance, gradient / variance, biases, bias_sigmas, prior=prior)
+        step = known.step * _RELAXATION
         pose, biases = moved(pose, step[:3], step[3:6]), biases + step[6:]
-        if np.abs(step[:6] / _SCALE).max() < _SETTLED_M:
+        longest_m = np.abs(step[:6] / _SCALE).max()
+        if longest_m < _SETTLED_M:
             break
+        prior = known.prior if longest_m < _NEARLY_SETTLED_M else None
     if arc_between_m(pose, T_target_source) > DISTANCE_M:
         return pose_information(target, source, T_target_source, bias_sigmas)
     return _with_information(overlap, pose, biases, bias_sigmas)
