@@ -15,7 +15,8 @@ class EarlierStops:
     """Poses of pairs that earlier stops found, and pairs that they searched in vain.
 
     The LiDARs are where they were, so those poses are tested by the beams before anything is searched. Two LiDARs
-    without a common view at one stop have none at the next: they are searched once more, with the usual descriptors.
+    without a common view at one stop have none at the next: they are searched once more, with the usual descriptors, if
+    more of their matches agree than by chance.
 
     Args:
         poses: by pair, in name order.

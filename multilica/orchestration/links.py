@@ -20,14 +20,12 @@ from multilica.orchestration.pairs import (
 from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
-from multilica.stages.pair_choice import choose_loops, next_round
+from multilica.stages.pair_choice import LEAST_PRIORITY, choose_loops, next_round
 from multilica.workers import Shared, Workers
 
 MAX_LINKED_STOPS = 8
 """Prepared clouds of more stops take much memory, and all their pairs much time."""
 
-# Matches that agree by chance in views without anything in common; below, one search of ten finds a pose.
-_LEAST_PRIORITY = 6.0
 # As many searches per view in a row that find nothing are enough; so are half as many the second time.
 _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
@@ -153,7 +151,7 @@ class _LinkSearch:
             self.loops_per_view = _LOOPS_IF_DETERMINED
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
-        priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
+        priority = {pair: likely for pair, likely in found if likely >= LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
         if not self.graph().is_determined and (freed := with_movable(views, self.levels)):
             self._search_again(freed, priority)

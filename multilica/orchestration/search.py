@@ -23,6 +23,7 @@ from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairKey, PairRegistration
 from multilica.stages.known_poses import known_between
 from multilica.stages.pair_choice import (
+    LEAST_PRIORITY,
     choose_loops,
     choose_target,
     components,
@@ -65,11 +66,12 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
     priority = dict(zip(state.pairs, state.workers.map(priority_of, state.pairs), strict=True))
     state.timing_s["correspond"] = time.perf_counter() - start_s
     _try_earlier(state)
+    unpromising = {pair for pair in state.earlier.vain if priority.get(pair, 0.0) < LEAST_PRIORITY}
     for voxel_size_m in (usual, *state.config.features.retry_voxel_sizes_m):
-        tried: set[PairKey] = set()
+        tried = unpromising.copy()
         if voxel_size_m != usual:
             # Other descriptors cannot help where a pose was found and others fit as well.
-            tried = {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
+            tried |= {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
             tried.update(state.earlier.vain)
         while True:
             accepted = [(pair.target, pair.source) for pair in state.accepted]

@@ -10,6 +10,9 @@ from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
 from multilica.results import PairKey, PairRegistration, PreprocessedCloud, Registration
 
+LEAST_PRIORITY = 6.0
+"""Matches that agree by chance in clouds without anything in common; below, one search of ten finds a pose."""
+
 # The noise of a LiDAR's scan is the same in all its pairs, so more loops hardly improve its pose.
 _LOOPS_PER_LIDAR = 4
 

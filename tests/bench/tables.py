@@ -170,8 +170,8 @@ def _head() -> str:
 
 - Rigs, with the target: {rigs}.
 - Scenes: {scenes}. Seeds: {seeds}. Each LiDAR has 5 frames.
-- The LiDARs have [the systematic errors of real ones](certainty.md). Figures of scenes that repeat, with the coverage of sigma,
-  are [with the limits](limits.md#scenes-that-repeat-with-traffic).
+- The LiDARs have [the systematic errors of real ones](certainty.md). Figures of scenes that repeat, with
+  the coverage of sigma, are [with the limits](limits.md#scenes-that-repeat-with-traffic).
 - Systems: the presets {presets}, and `kiss`: KISS-Matcher and small_gicp of each LiDAR against
   the target, with the libraries' own defaults. `kiss` accepts every pose, so it places every LiDAR.
 - x, y, z, roll, pitch, yaw and angle are the RMSE over all scenes and LiDARs, as in the paper. They cover every

@@ -17,6 +17,7 @@ from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
 from multilica.stages.coarse import find_hypotheses
+from multilica.stages.pair_choice import LEAST_PRIORITY
 from tests.pipeline.watched import assert_true, of, only, sides, watched
 
 pytestmark = pytest.mark.slow
@@ -96,6 +97,14 @@ def test_a_wrong_pose_of_an_earlier_stop_is_searched():
     result, seen = watched(_half(), earlier=EarlierStops(wrong))
     assert len(_searched(seen)) == 2
     assert_true(result, sides().truth)
+
+
+@pytest.mark.parametrize(("priority", "searched"), [(LEAST_PRIORITY - 1.0, 0), (LEAST_PRIORITY, 3)])
+def test_a_vain_pair_needs_promise_at_later_stops(priority, searched, monkeypatch):
+    monkeypatch.setattr(search, "priority_of", lambda *_: priority)
+    monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("reject", (Reason("low_evidence", 0.0, 1.0, "made"),)))
+    _, seen = watched(_half(), "until=fine", earlier=EarlierStops(vain=[tuple(sorted(pair)) for pair in _PAIRS]))
+    assert len(_searched(seen)) == searched
 
 
 @pytest.mark.in_turn
