@@ -244,3 +244,5 @@ def test_the_cloud_of_publish_is_no_lidar(tmp_path: Path) -> None:
     assert read_snapshot(tmp_path / "a.mcap", config=IngestConfig(only=("/*",))).names == (first.name, second.name)
     chosen = IngestConfig(topics={"all": MERGED_TOPIC})
     assert read_snapshot(tmp_path / "a.mcap", config=chosen).names == ("all",)
+    seen = inspect_source(tmp_path / "a.mcap").clouds
+    assert [(cloud.topic, cloud.points_max) for cloud in seen if not cloud.frames_taken] == [(MERGED_TOPIC, 0)]
