@@ -58,6 +58,7 @@ class Ros2Node:
             raise UsageError(
                 f"ROS 2 does not start ({text[:200]}); check ROS_DOMAIN_ID and RMW_IMPLEMENTATION."
             ) from error
+        self._published: list[str] = []
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
 
@@ -67,7 +68,8 @@ class Ros2Node:
         return {
             name: min(types)
             for name, types in offered
-            if name not in ("/parameter_events", "/rosout") and self._node.count_publishers(name)
+            if name not in ("/parameter_events", "/rosout")
+            and self._node.count_publishers(name) > self._published.count(name)
         }
 
     def offer(self, topic: str) -> Offer | None:
@@ -105,6 +107,7 @@ class Ros2Node:
         kind = _class_of(message_type, f"Publishing on '{topic}'")
         profile = _profile(Offer(reliable=True, latched=latched), depth=1)
         send = self._node.create_publisher(kind, topic, profile).publish
+        self._published.append(topic)
         return lambda data: _ignore(send(data))
 
     def spin(self, timeout_s: float) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle that drives on after every second look at it: ``drive.py STOP1.mcap STOP2.mcap ...``, by a Python with rclpy.
+"""A vehicle that drives on after every second look at it: ``drive.py STOP1.mcap STOP2.mcap ...``.
 
-A look begins with a subscription to the first LiDAR.
+A Python that has rclpy runs it. A look begins with a subscription to the first LiDAR.
 """
 
 import sys

@@ -55,6 +55,24 @@ def test_a_service_needs_a_sourced_ros_2_alone(tmp_path: Path) -> None:
     assert "calibrate would use: front (2 of 2 frames), left" in seen.stdout
 
 
+OWN_TOPIC = """
+from multilica.ros2 import Ros2Node
+node = Ros2Node("A test")
+node.publisher("/diagnostics", "std_msgs/msg/String", latched=False)
+while not node.offer("/diagnostics"):
+    node.spin(0.1)
+print(node.topics())
+"""
+
+
+@NEEDS_ROS2
+@pytest.mark.slow
+def test_a_node_does_not_hear_itself() -> None:
+    command = [PYTHON, "-c", OWN_TOPIC]
+    seen = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment(), check=True)
+    assert seen.stdout == "{}\n"
+
+
 @pytest.fixture
 def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
     """Put an rclpy of a Python version in front, which consists of one line."""

@@ -21,7 +21,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
 from multilica.watch import Observation
 from multilica.watch.outputs import diagnostic_message, metrics_at, rows_into
-from multilica_cli.commands.watch import Lines
+from multilica_cli.commands.watch import WatchLines
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 
@@ -77,7 +77,7 @@ def test_a_look_without_a_verdict_is_a_status_of_the_rig() -> None:
 
 
 def test_each_reason_is_told_once_until_a_verdict(capsys: pytest.CaptureFixture[str]) -> None:
-    tell = Lines(quiet=False)
+    tell = WatchLines(quiet=False)
     moving, missing = Observation(0, "moving", "It moves by 3 m."), Observation(0, "failed", "There is no a.toml.")
     gone, later = (Observation(0, "failed", f"Nothing answers in {after_s} s.") for after_s in (3, 4))
     for each in (gone, later, missing, moving, gone, moving, verdict(), gone):

@@ -68,7 +68,7 @@ def watch(
         node = None
         if scheme_of(address) == ROS2:
             node = opened.enter_context(closing(Ros2Node(f"Watching at {address}")))
-        tells: list[Tell] = [Lines(quiet=quiet), *_outputs(node, metrics, store, vehicle, address)]
+        tells: list[Tell] = [WatchLines(quiet=quiet), *_outputs(node, metrics, store, vehicle, address)]
         look = partial(listen, address, config=config.ingest, node=node)
         watch_vehicle(WatchRequest(look, calibration, limits, config, interval_s), partial(_tell_all, tells))
 
@@ -96,7 +96,7 @@ def _tell_all(tells: list[Tell], observation: Observation) -> None:
             stderr_console().print(f"multilica: {failure}")
 
 
-class Lines:
+class WatchLines:
     """A line per verdict on stdout; on stderr each reason why there is none, once until the next verdict."""
 
     def __init__(self, *, quiet: bool) -> None:
