@@ -19,6 +19,9 @@ LIDAR_NAME_KEY = "multilica:lidar"
 SNAPSHOT_METADATA_NAME = "multilica:snapshot"
 """The metadata record of an MCAP file of a snapshot; `frames` is the requested number per LiDAR."""
 
+MERGED_TOPIC = "/multilica/points"
+"""Topic of the clouds of all LiDARs in one frame, as `multilica publish` sends them."""
+
 Column = npt.NDArray[Any]
 
 _COORDINATES = ("x", "y", "z")

@@ -10,12 +10,12 @@ import numpy as np
 
 from multilica.exports.files import FrameNames, rig_of_run
 from multilica.exports.stitched_cloud import read_stitched_cloud
+from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.mcap import ros2_types
 from multilica.sinks.mcap.messages import McapMessage
 
 TRANSFORMS_TOPIC = "/tf_static"
-CLOUD_TOPIC = "/multilica/points"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ def publication_of(
             ros2_types.serialised(message),
             ros2_types.offered_qos(latched=True),
         )
-        for topic, message in ((TRANSFORMS_TOPIC, transforms), (CLOUD_TOPIC, points))
+        for topic, message in ((TRANSFORMS_TOPIC, transforms), (MERGED_TOPIC, points))
     )
     missing = {name: entry.status for name, entry in document.lidars.items() if name not in frame_of}
     return Publication(messages, found.target, tuple(frame_of), missing)

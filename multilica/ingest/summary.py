@@ -28,6 +28,7 @@ from multilica.ingest.snapshot_reader import (
 )
 from multilica.ingest.stops import cloud_span, standstills_of
 from multilica.ingest.transforms import read_static_transforms
+from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import Snapshot
 
 _NS_PER_S = 1e9
@@ -201,12 +202,12 @@ def _notes_on(further: Sequence[SourceFile]) -> list[str]:
 
 
 def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mapping[str, str], Window, str]:
-    """Return the chosen topics, the frames of all point cloud topics, and the objection."""
+    """Return the chosen topics, the frames of all LiDARs, chosen or not, and the objection."""
     given: Mapping[str, str] = {}
     window = Window({}, {}, ())
     try:
         given = choose_topics(recording, config.topics, label, config.only)
-        topics = {topic.name for topic in recording.topics if is_cloud(topic)}
+        topics = {topic.name for topic in recording.topics if is_cloud(topic)} - ({MERGED_TOPIC} - given.keys())
         window = collect_frames(recording, topics, config, label)
         require_frames(window, given.keys(), config, label)
     except InputError as error:

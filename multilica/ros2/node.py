@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node that hears and sends messages as CDR bytes."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from multilica.errors import MissingDependencyError, UsageError, escape_controls
-from multilica.optional_libraries import needed_for
+from multilica.ros2.client import require_client
 from multilica.ros2.transforms_type import TRANSFORMS, transforms_class
 
-SETUP = "source the setup file of your ROS 2, such as /opt/ros/jazzy/setup.bash"
-"""An alternative to the wheels, as an imperative."""
+_NO_LOG_FILE = ["--ros-args", "--disable-external-lib-logs"]
+"""The log file of ROS 2 needs a home directory, which services have not; this node writes nothing into it."""
 _QUEUE = 4
 """Scans that the middleware keeps while one is decoded."""
 _LATCHED_QUEUE = 100
@@ -36,14 +37,15 @@ class Ros2Node:
     """
 
     def __init__(self, wanted: str) -> None:
-        with needed_for(wanted, "rclpy", SETUP):
-            import rclpy
-            from rclpy.executors import SingleThreadedExecutor
-            from rclpy.parameter import Parameter
-            from rclpy.signals import SignalHandlerOptions
+        require_client(wanted)
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.parameter import Parameter
+        from rclpy.signals import SignalHandlerOptions
+
         self._context = rclpy.Context()
         try:
-            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(args=_NO_LOG_FILE, context=self._context, signal_handler_options=SignalHandlerOptions.NO)
             self._node = rclpy.create_node(
                 "multilica",
                 context=self._context,
@@ -56,6 +58,7 @@ class Ros2Node:
             raise UsageError(
                 f"ROS 2 does not start ({text[:200]}); check ROS_DOMAIN_ID and RMW_IMPLEMENTATION."
             ) from error
+        self._published: list[str] = []
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
 
@@ -65,7 +68,8 @@ class Ros2Node:
         return {
             name: min(types)
             for name, types in offered
-            if name not in ("/parameter_events", "/rosout") and self._node.count_publishers(name)
+            if name not in ("/parameter_events", "/rosout")
+            and self._node.count_publishers(name) > self._published.count(name)
         }
 
     def offer(self, topic: str) -> Offer | None:
@@ -81,15 +85,17 @@ class Ros2Node:
         )
 
     def subscribe(
-        self, topic: str, message_type: str, offer: Offer, hear: Callable[[bytes], None]
+        self, topic: str, message_type: str, offer: Offer, hear: Callable[[bytes, int], None]
     ) -> Callable[[], None]:
-        """Call `hear` within `spin` with each message; return what ends that.
+        """Call `hear` within `spin` with each message and the time it arrived, in ns; return what ends that.
 
         Raises:
             MissingDependencyError: the package of the message type is not installed.
         """
         kind = _class_of(message_type, f"Listening to '{topic}'")
-        subscription = self._node.create_subscription(kind, topic, hear, _profile(offer), raw=True)
+        subscription = self._node.create_subscription(
+            kind, topic, lambda data, info: hear(data, _arrival_ns(info)), _profile(offer), raw=True
+        )
         return lambda: _ignore(self._node.destroy_subscription(subscription))
 
     def publisher(self, topic: str, message_type: str, *, latched: bool) -> Callable[[bytes], None]:
@@ -101,6 +107,7 @@ class Ros2Node:
         kind = _class_of(message_type, f"Publishing on '{topic}'")
         profile = _profile(Offer(reliable=True, latched=latched), depth=1)
         send = self._node.create_publisher(kind, topic, profile).publish
+        self._published.append(topic)
         return lambda data: _ignore(send(data))
 
     def spin(self, timeout_s: float) -> None:
@@ -139,6 +146,15 @@ def _class_of(message_type: str, wanted: str) -> Any:  # noqa: ANN401 - a class 
             f"workspace that has the package {package}."
         ) from error
     return kind
+
+
+def _arrival_ns(info: Mapping[str, int]) -> int:
+    """Return when the middleware received a message; now, if it does not tell.
+
+    Messages may wait in its queue while types are loaded and scans are decoded.
+    """
+    received_ns = info.get("received_timestamp", 0)
+    return received_ns if received_ns > 0 else time.time_ns()
 
 
 def _ignore(_: object) -> None:

@@ -43,7 +43,7 @@ def test_a_running_vehicle_is_led_from_stop_to_stop(drive: SimulatedDrive, invok
     paths = [tmp_path / f"stop{number}.mcap" for number in (1, 2, 3)]
     for path, snapshot in zip(paths, drive.snapshots, strict=True):
         write_snapshot_mcap(snapshot, path)
-    with served("drive_server.py", *paths) as port:
+    with served("drive_server.py", 0, *paths) as port:
         given = ("--out", "drive.mcap", "--stops", "3", "--frames", "3")
         outcome = invoke("record", f"ws://127.0.0.1:{port}", *given)
     assert outcome.code == ExitCode.DONE

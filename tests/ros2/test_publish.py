@@ -13,9 +13,10 @@ import pytest
 from websockets.sync.client import connect
 
 from multilica.config import CalibrationConfig, IngestConfig
-from multilica.errors import UsageError
+from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.exports.publication import publication_of
 from multilica.ingest import listen, read_snapshot
+from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.sinks.live.foxglove_server import from_foxglove_server
 from multilica.sinks.run_directory import open_run
 from multilica_cli.exit_codes import ExitCode
@@ -69,7 +70,10 @@ def test_a_late_node_looks_up_a_transform(run_directory: Path) -> None:
 def test_foxglove_gets_the_same(run_directory: Path) -> None:
     found = publication_of(run_directory, frames="names")
     with from_foxglove_server(found.messages, "127.0.0.1", 0) as port:
-        heard = listen(f"ws://127.0.0.1:{port}", config=IngestConfig(frames=1, timeout_s=10.0))
+        url = f"ws://127.0.0.1:{port}"
+        heard = listen(url, config=IngestConfig(frames=1, timeout_s=10.0, only=(MERGED_TOPIC,)))
+        with pytest.raises(UnfitSnapshotError, match="no point clouds of LiDARs: '/multilica/points' is what"):
+            listen(url, config=IngestConfig(frames=1, timeout_s=0.5))
     (cloud,) = heard.snapshot.lidars
     assert (cloud.topic, cloud.frame_id) == ("/multilica/points", "top")
     np.testing.assert_allclose(cloud.points_m, points_in_base(run_directory), rtol=0, atol=1e-5)

@@ -60,4 +60,5 @@ def main(path, way):
             time.sleep(60.0)
 
 
-main(*sys.argv[1:])
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -21,6 +21,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
 from multilica.watch import Observation
 from multilica.watch.outputs import diagnostic_message, metrics_at, rows_into
+from multilica_cli.commands.watch import WatchLines
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 
@@ -73,6 +74,22 @@ def test_a_look_without_a_verdict_is_a_status_of_the_rig() -> None:
     data = diagnostic_message(Observation(-1, "moving", "The vehicle moves."))
     (status,) = store.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticArray").status
     assert (status.level, status.message) == (3, "The vehicle moves.")
+
+
+def test_each_reason_is_told_once_until_a_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    tell = WatchLines(quiet=False)
+    moving, missing = Observation(0, "moving", "It moves by 3 m."), Observation(0, "failed", "There is no a.toml.")
+    gone, later = (Observation(0, "failed", f"Nothing answers in {after_s} s.") for after_s in (3, 4))
+    for each in (gone, later, missing, moving, gone, moving, verdict(), gone):
+        tell(each)
+    out, err = capsys.readouterr()
+    assert [line.partition(" ")[2] for line in err.splitlines()] == [
+        "failed: Nothing answers in 3 s.",
+        "failed: There is no a.toml.",
+        "moving: It moves by 3 m.",
+        "failed: Nothing answers in 3 s.",
+    ]
+    assert [line.split()[1] for line in out.splitlines()] == ["outside:"]
 
 
 def scraped(port: int) -> dict[tuple[str, str], float]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from functools import partial
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from multilica.watch.outputs import Tell
 
 _NS_PER_S = 1_000_000_000
+_MOST_REASONS = 20
 
 
 def watch(
@@ -66,7 +68,7 @@ def watch(
         node = None
         if scheme_of(address) == ROS2:
             node = opened.enter_context(closing(Ros2Node(f"Watching at {address}")))
-        tells: list[Tell] = [_Lines(quiet=quiet), *_outputs(node, metrics, store, vehicle, address)]
+        tells: list[Tell] = [WatchLines(quiet=quiet), *_outputs(node, metrics, store, vehicle, address)]
         look = partial(listen, address, config=config.ingest, node=node)
         watch_vehicle(WatchRequest(look, calibration, limits, config, interval_s), partial(_tell_all, tells))
 
@@ -94,18 +96,23 @@ def _tell_all(tells: list[Tell], observation: Observation) -> None:
             stderr_console().print(f"multilica: {failure}")
 
 
-class _Lines:
-    """A line per verdict on stdout; on stderr why there is none, whenever that changes."""
+class WatchLines:
+    """A line per verdict on stdout; on stderr each reason why there is none, once until the next verdict."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet
-        self._before = ""
+        self._told: set[str] = set()
 
     def __call__(self, observation: Observation) -> None:
+        """Tell one look."""
         time = f"{datetime.fromtimestamp(observation.time_ns / _NS_PER_S, tz=UTC):%Y-%m-%dT%H:%M:%SZ}"
         line = f"{time} {observation.outcome}: {observation.text}"
         if observation.is_verdict:
+            self._told.clear()
             stdout_console(quiet=self._quiet).print(line, soft_wrap=True)
-        elif observation.outcome != self._before:
+            return
+        # Reasons that differ in numbers only are the same one.
+        reason = observation.outcome if observation.outcome == "moving" else re.sub(r"\d+", "", observation.text)
+        if reason not in self._told and len(self._told) < _MOST_REASONS:
+            self._told.add(reason)
             stderr_console(quiet=self._quiet).print(line, soft_wrap=True)
-        self._before = observation.outcome

@@ -71,9 +71,10 @@ class LiveRecording(Recording):
         static = {topic.name for topic in self.topics if topic.name.endswith(_STATIC_SUFFIX)}
         added = (static | set(topics)) - self._wanted
         self._wanted |= added
-        if added & static:
-            self._static_end_s = time.monotonic() + _STATIC_S
         self._subscribe(added)
+        if added & static:
+            # The first subscriptions to a type take a second on a busy machine.
+            self._static_end_s = time.monotonic() + _STATIC_S
         yield from (message for message in self._static if message.topic in topics)
         limit_s = self._end_s
         if all(topic.endswith(_STATIC_SUFFIX) for topic in topics):

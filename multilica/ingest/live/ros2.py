@@ -77,8 +77,8 @@ class Ros2Recording(LiveRecording):
             end = self._node.subscribe(name, topic.message_type, offer, partial(self._hear, topic))
             self._subscribed[name] = offer, topic.message_type, end
 
-    def _hear(self, topic: Topic, data: bytes) -> None:
-        self._arrived.append((topic, time.time_ns(), data))
+    def _hear(self, topic: Topic, data: bytes, time_ns: int) -> None:
+        self._arrived.append((topic, time_ns, data))
 
     def _next(self, timeout_s: float) -> RawMessage | None:
         now_s = time.monotonic()

@@ -19,6 +19,7 @@ from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud, is_pac
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Topic, normal_type
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
+from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import Scan
 
 _MAX_CLOCK_OFFSET_S = 0.5
@@ -32,7 +33,7 @@ def choose_topics(
     """Return topic -> name of the LiDAR, empty to name it after its frame id.
 
     A topic may be given by its name, by a shell pattern (``/lidar_*/points``), or by its message type. If none is
-    given, every point cloud topic with messages is used.
+    given, every point cloud topic with messages is used. `MERGED_TOPIC` is used only if it is given by its name.
 
     Args:
         asked_for: LiDAR name -> topic, as in `ingest.topics`.
@@ -43,13 +44,15 @@ def choose_topics(
         UnknownNameError: there is no such point cloud topic.
         ConfigError: a topic with two names, a name with two topics, or an empty name.
     """
-    clouds = {topic.name: topic for topic in recording.topics if is_cloud(topic)}
+    named = {*only, *asked_for.values()}
+    found = (topic for topic in recording.topics if is_cloud(topic))
+    clouds = {topic.name: topic for topic in found if topic.name != MERGED_TOPIC or topic.name in named}
     if not any(topic.count for topic in clouds.values()):
         raise UnfitSnapshotError(_no_clouds(recording, label))
     if not asked_for and not only:
         return {name: topic.lidar for name, topic in clouds.items() if topic.count and not _is_twin(topic, clouds)}
     for topic in recording.topics:
-        if topic.name in (*only, *asked_for.values()) and topic.name not in clouds and (content := obstacle(topic)):
+        if topic.name in named and topic.name not in clouds and (content := obstacle(topic)):
             raise UnfitSnapshotError(f"In {label}, '{topic.name}' holds {content}.")
     chosen: dict[str, str] = {}
     for pattern in only:
@@ -107,7 +110,10 @@ def _is_twin(topic: Topic, clouds: Mapping[str, Topic]) -> bool:
 
 
 def _no_clouds(recording: Recording, label: str) -> str:
-    silent = sorted(topic.name for topic in recording.topics if is_cloud(topic))
+    clouds = {topic.name for topic in recording.topics if is_cloud(topic)}
+    if clouds == {MERGED_TOPIC}:
+        return f"{label} holds no point clouds of LiDARs: '{MERGED_TOPIC}' is what `multilica publish` joined."
+    silent = sorted(clouds - {MERGED_TOPIC})
     if silent:
         return f"{label} holds no point clouds: its topics {listed(silent)} have no messages."
     unread = unread_notes(recording)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from multilica.config import CalibrationConfig, IngestConfig, with_overrides
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, UnreadableSourceError, UsageError
 from multilica.ingest import inspect_source, read_snapshot
+from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
 from tests.ingest.support.recording_writers import (
@@ -233,3 +235,14 @@ def test_strict_takes_what_is_whole(tmp_path: Path) -> None:
     with pytest.raises(UnreadableSourceError, match=r"strict is set: .* the file ends too early"):
         read_snapshot(tmp_path / "a.mcap", config=config)
     assert "strict is set" in inspect_source(tmp_path / "a.mcap", config=config).objection
+
+
+def test_the_cloud_of_publish_is_no_lidar(tmp_path: Path) -> None:
+    first, second, merged = make_snapshot(lidars=3, frames=1).lidars
+    write_mcap(Snapshot((first, second, replace(merged, topic=MERGED_TOPIC))), tmp_path / "a.mcap")
+    assert read_snapshot(tmp_path / "a.mcap").names == (first.name, second.name)
+    assert read_snapshot(tmp_path / "a.mcap", config=IngestConfig(only=("/*",))).names == (first.name, second.name)
+    chosen = IngestConfig(topics={"all": MERGED_TOPIC})
+    assert read_snapshot(tmp_path / "a.mcap", config=chosen).names == ("all",)
+    seen = inspect_source(tmp_path / "a.mcap").clouds
+    assert [(cloud.topic, cloud.points_max) for cloud in seen if not cloud.frames_taken] == [(MERGED_TOPIC, 0)]

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle that drives on after every second look at it: ``drive_server.py STOP1.mcap STOP2.mcap ...``."""
+"""A vehicle that drives on after every second look at it: ``drive_server.py PORT STOP1.mcap STOP2.mcap ...``.
+
+With one stop, it stands.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +30,11 @@ class Looks(ServerListener):
         self.count += channel.topic == self.topic
 
 
-def main(paths: list[str]) -> None:
+def main(port: int, *paths: str) -> None:
     stops = [read_snapshot(path) for path in paths]
     topics = {lidar.name: lidar.topic for lidar in stops[0].lidars}
     looks = Looks(topics[stops[0].names[0]])
-    server = foxglove.start_server(port=0, server_listener=looks)
+    server = foxglove.start_server(port=port, server_listener=looks)
     channels = {name: Channel(topic, message_encoding="cdr", schema=schema_of("cdr")) for name, topic in topics.items()}
     print(server.port, flush=True)
     while True:
@@ -43,4 +46,4 @@ def main(paths: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(int(sys.argv[1]), *sys.argv[2:])
