@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
@@ -237,11 +237,12 @@ def _without_poses(information: FloatArray, gradient: FloatArray, biases: int) -
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve equations of a covariance or an information with ones on its diagonal."""
-    try:
-        return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right)
+    """Solve equations (N, M) of a covariance or an information with ones on its diagonal.
+
+    SciPy's functions for it take longer than LAPACK.
+    """
+    _, solution, not_positive = dposv(matrix, right)
+    return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right if not_positive else solution)
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:

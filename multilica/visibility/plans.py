@@ -234,6 +234,8 @@ def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArr
 
 def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
     """Return local maxima with at least this many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
+    if overlap.max() < needed:
+        return np.empty(0), np.empty((0, 2))
     width = int(_APART_M / _CELL_M) + 1
     highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
     cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
