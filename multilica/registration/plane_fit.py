@@ -171,7 +171,7 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     excess = _excess(solved(information, gradient).covariance, solved(information, gradient, spread=spread).covariance)
     information, gradient = information / excess, gradient / excess
     spread, random, few = (each / excess**2 for each in (spread, random, few))
-    known = posterior(information, gradient, biases, sigmas, spread, random, counts)
+    known = posterior(information, gradient, biases, sigmas, spread, random, counts, begin=first.prior)
     gradient, biases = gradient + information @ known.step, biases + known.step[6:]
     of_biases = BiasInformation(information, gradient, spread, random, biases, target_rings, source_rings, few)
     pose = moved(pose, known.step[:3], known.step[3:6])

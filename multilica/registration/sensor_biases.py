@@ -144,6 +144,7 @@ def posterior(
     random_spread: FloatArray | None = None,
     rings: Sequence[int] = (),
     prior: BiasPrior | None = None,
+    begin: BiasPrior | None = None,
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
@@ -162,11 +163,12 @@ def posterior(
         random_spread: (N, N) the part of it that random errors cause; None: all of it.
         rings: number of rings of each LiDAR, in the order in which their biases end the others.
         prior: of an earlier step; None: found from these data.
+        begin: prior of an earlier step, where the search for that of these data begins.
     """
     size, poses = len(gradient), len(gradient) - len(biases)
     shown = size - RING_BIAS_COUNT * sum(rings)
     if prior is None:
-        prior = _prior_of_all(information, gradient, biases, sigmas, rings)
+        prior = _prior_of_all(information, gradient, biases, sigmas, rings, begin)
     total, known = information.copy(), np.zeros((size, size))
     total[poses:, poses:] += prior.information
     known[poses:, poses:] = prior.information + prior.uncertain
@@ -197,19 +199,26 @@ def _groups(biases: int, rings: Sequence[int]) -> tuple[list[IndexArray], list[I
 
 
 def _prior_of_all(
-    information: FloatArray, gradient: FloatArray, biases: FloatArray, sigmas: FloatArray, rings: Sequence[int]
+    information: FloatArray,
+    gradient: FloatArray,
+    biases: FloatArray,
+    sigmas: FloatArray,
+    rings: Sequence[int],
+    begin: BiasPrior | None,
 ) -> BiasPrior:
     """Return the prior of all groups of biases.
 
-    The share of each group is sought with the prior that the others have, at first all of what datasheets allow.
+    The share of each group is sought with the prior that the others have, at first all of what datasheets allow, or the
+    prior of an earlier step.
     """
-    prior, uncertain = np.diag(sigmas**-2.0), np.zeros((len(biases), len(biases)))
+    prior = np.diag(sigmas**-2.0) if begin is None else begin.information.copy()
+    uncertain = np.zeros((len(biases), len(biases)))
     if not len(biases):
         return BiasPrior(prior, uncertain)
     reduced, pull = _without_poses(information, gradient, len(biases))
     pull = reduced @ biases - pull
     of_lidars, of_rings = _groups(len(biases), rings)
-    for _ in range(_SWEEPS):
+    for _ in range(_SWEEPS if begin is None else 1):
         covariance = _inverse(reduced + prior)
         means = covariance @ pull
         for group in (*of_lidars, *of_rings):

@@ -3,13 +3,19 @@
 
 import base64
 import hashlib
+import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.resources import files
+from importlib.util import cache_from_source
+from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined, Template
+from jinja2.bccache import Bucket
 from markupsafe import Markup
 
+from multilica import __version__
 from multilica.errors import escape_controls
 
 
@@ -32,6 +38,7 @@ def page_template(
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=(lambda value: escape_controls(value) if type(value) is str else value) if one_line else None,
+        bytecode_cache=_CompiledTemplates(),
     )
     environment.filters |= filters
     environment.globals |= {
@@ -41,6 +48,18 @@ def page_template(
         "script_hash": _hash(script),
     }
     return environment.get_template("page.html")
+
+
+class _CompiledTemplates(FileSystemBytecodeCache):
+    """Keeps compiled templates beside the compiled modules, as Python does: only where it may write."""
+
+    def __init__(self) -> None:
+        super().__init__(str(Path(cache_from_source(__file__)).parent), f"%s.multilica-{__version__}.jinja")
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        if not sys.dont_write_bytecode:
+            with suppress(OSError):
+                super().dump_bytecode(bucket)
 
 
 def _hash(text: str) -> str:
