@@ -150,6 +150,58 @@ def check_ambiguous_chains(
     return _doubted(pairs, doubts)
 
 
+def check_shared_repetition(
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
+) -> list[PairRegistration]:
+    """Leave pairs undecided that have another possible pose, by what an undecided pair of the same scene found.
+
+    Where bays of a car park repeat, one pair finds two poses, and another only the wrong one, as its search is no
+    proof that there is no other. Each pose of the undecided pair implies one for each pair of the chain between its
+    ends. Such a pose counts by the evidence of both pairs. Pairs that close a cycle are confirmed by it.
+
+    Args:
+        score_pose: with the tolerances of rough poses.
+
+    Returns:
+        The pairs in their order, some with another verdict.
+    """
+    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
+    undecided = [pair for pair in pairs if pair.registrations and _is_ambiguous(pair, config)]
+    names = sorted({name for pair in pairs for name in pair.lidars})
+    doubts: dict[int, Reason] = {}
+    for pair in joining if undecided else ():
+        others = PairGraph.of(names, [each for each in joining if each is not pair])
+        if others.implied(*sorted(pair.lidars)) is not None:
+            continue
+        best = score_pose(pair.T_target_source)
+        for known in undecided:
+            for pose in known.registrations[0], *competing_poses(known.registrations, config):
+                implied = _through(pair, others, pose.T_target_source)
+                if implied is None or not _is_elsewhere(implied, pair.T_target_source, config):
+                    continue
+                competing, found = score_pose(implied), score_pose(pose.T_target_source)
+                by_pair = _through(known, others, pair.T_target_source)
+                assert by_pair is not None  # noqa: S101 - as the other way round
+                lead = best.lead_over(competing) + score_pose(by_pair).lead_over(found)
+                if lead < config.min_log_odds_margin:
+                    doubts.setdefault(id(pair), _repetition(pair, competing, known, lead, config))
+    return _doubted(pairs, doubts)
+
+
+def _through(pair: PairRegistration, others: PairGraph, pose: RigidTransform) -> RigidTransform | None:
+    """Return the pose of a pair that a pose between its sides of a graph implies; None if it links other sides."""
+    for linking in pose, pose.inverse():
+        before = others.implied(pair.target, linking.target)
+        after = others.implied(linking.source, pair.source)
+        if before is not None and after is not None:
+            return before @ linking @ after
+    return None
+
+
+def _is_elsewhere(implied: RigidTransform, pose: RigidTransform, config: AcceptanceConfig) -> bool:
+    return is_distinct(implied, [pose]) and is_near(implied, config.max_baseline_m)
+
+
 def is_contradicted(pair: PairRegistration) -> bool:
     """Return whether the pair is doubted because it contradicts others."""
     return _CODE in pair.verdict.codes
@@ -186,6 +238,18 @@ def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegist
         f"{np.rad2deg(radians):.0f} deg, so another pose {metres:.2f} m away is also possible"
     )
     return Reason("ambiguous", 1.0, 0.0, text, competing)
+
+
+def _repetition(
+    pair: PairRegistration, competing: Registration, seen_by: PairRegistration, lead: float, config: AcceptanceConfig
+) -> Reason:
+    metres, radians = pair.T_target_source.distance_to(competing.T_target_source)
+    text = (
+        f"{seen_by.target} and {seen_by.source} fit at several poses, and one of these puts {pair.source} "
+        f"{metres:.2f} m and {np.rad2deg(radians):.0f} deg away, where it fits nearly as well (lead {lead:.1f}, "
+        f"needs {config.min_log_odds_margin:g})"
+    )
+    return Reason("ambiguous", lead, config.min_log_odds_margin, text, competing)
 
 
 def _exclusion(pair: PairRegistration, implied: RigidTransform) -> Reason:

@@ -7,7 +7,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
-from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
+from multilica.acceptance.rig import (
+    check_ambiguous_chains,
+    check_cycles,
+    check_scene_symmetry,
+    check_shared_repetition,
+)
 from multilica.config import Stage
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
@@ -194,6 +199,7 @@ def _check_pairs(state: CalibrationState) -> bool:
         lambda pairs: check_scene_symmetry(pairs, state.score_rough_pose, state.score_turned, limits),
         lambda pairs: check_cycles(pairs, state.score_pose, limits),
         lambda pairs: check_ambiguous_chains(pairs, state.score_pose, limits),
+        lambda pairs: check_shared_repetition(pairs, state.score_rough_pose, limits),
     )
     changed = False
     for check in checks:
