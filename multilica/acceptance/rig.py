@@ -155,8 +155,8 @@ def check_shared_repetition(
 ) -> list[PairRegistration]:
     """Leave pairs undecided that have another possible pose, by what an undecided pair of the same scene found.
 
-    Where bays of a car park repeat, one pair finds two poses, and another only the wrong one, as its search is no
-    proof that there is no other. Each pose of the undecided pair implies one for each pair of the chain between its
+    In a car park with equal bays, one pair may find two poses, and another only the wrong one: its search is no proof
+    that there is no other. Each pose of the undecided pair implies one for each pair of the chain between its
     ends. Such a pose counts by the evidence of both pairs. Pairs that close a cycle are confirmed by it.
 
     Args:
