@@ -8,9 +8,11 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
+from multilica.orchestration import member_pairs
 from multilica.orchestration.member_pairs import fit_members
 from multilica.orchestration.pairs import prepare_lidar
 from multilica.pipeline import calibrate
+from multilica.registration.plane_fit import PlaneFit
 from multilica.results import Group
 from multilica.simulate import simulate_snapshot
 from tests.unit.made_pairs import pair
@@ -65,9 +67,24 @@ def test_members_that_do_not_meet_leave_the_registration(lidars):
     assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
 
 
-def test_fits_that_end_elsewhere_are_left_out(lidars):
-    merge = _merge((0.08, 0.0, 0.0))
-    assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
+def test_fits_that_all_end_elsewhere_correct_the_pose(lidars):
+    found = fit_members(_merge((0.08, 0.0, 0.0)), _GROUP, Group.of_one("c"), lidars, _CONFIG.refine)
+    assert [(pair.target, pair.source) for pair in found] == [("a", "c"), ("b", "c")]
+    for each in found:
+        assert each.T_target_source.distance_to(_between(each.target, each.source))[0] < 0.005
+
+
+def test_a_fit_that_alone_ends_elsewhere_is_left_out(lidars, monkeypatch):
+    def fitted(target, _source, pose, _sigmas):
+        off_m = 0.08 if target.name == "b" else 0.01
+        shifted = RigidTransform.from_rotation_translation(
+            pose.target, pose.source, pose.rotation, pose.xyz_m + np.array([off_m, 0.0, 0.0])
+        )
+        return PlaneFit(shifted, np.eye(6), object())
+
+    monkeypatch.setattr(member_pairs, "fit_planes", fitted)
+    found = fit_members(_merge(), _GROUP, Group.of_one("c"), lidars, _CONFIG.refine)
+    assert [(pair.target, pair.source) for pair in found] == [("a", "c")]
 
 
 @pytest.mark.slow
