@@ -24,6 +24,12 @@ _SPACING_NEIGHBOUR = 4
 _REFERENCE_FRAMES = 10
 # With fewer returns than in the point's own frame, the beam that would hit it may be lost.
 _MIN_FILLED = 0.85
+# Three of nine cells: at this density, chance leaves all nine without a return in one frame of forty.
+_DENSE = 0.33
+# Fewer frames may all have lost a beam.
+_FEWEST_OTHERS = 2
+# If more returns than this have no others around them in most frames, the frames show different directions.
+_MOST_ALONE = 0.2
 
 
 def preprocess(
@@ -93,8 +99,9 @@ class _FrameImage:
 def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
     """Drop returns of a LiDAR at rest from places that another frame's beams prove empty.
 
-    A return has moved if in some other frame all beams around its direction, at least as densely as in its own,
-    pass clearly beyond it.
+    A return has moved if in some other frame all beams around its direction, at least as densely as in its own, pass
+    clearly beyond it. Before the sky beams do not return: a return has also moved if no beam around it does in most
+    other frames. That proves nothing of a LiDAR whose frames show different directions.
 
     Returns:
         The scans without those returns, and the (K, 3) dropped points.
@@ -121,9 +128,20 @@ def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], moving_clea
         passed = np.flatnonzero(other.nearest_m[frame.cells] > frame.range_m + moving_clearance_m)
         cells = frame.cells[passed]
         empty[passed] |= np.isfinite(other.nearest_m[cells]) & (other.filled[cells] >= _MIN_FILLED * own[passed])
+    alone = _alone(frame, others)
+    if np.count_nonzero(alone) < _MOST_ALONE * len(alone):
+        empty |= alone & (own >= _DENSE)
     moving = np.zeros(len(frame.usable), dtype=np.bool_)
     moving[frame.usable] = empty
     return moving
+
+
+def _alone(frame: _FrameImage, others: Sequence[_FrameImage]) -> BoolArray:
+    """Return which usable returns of a frame (M,) have no return around them in most of the frames of its size."""
+    whole = [other for other in others if 2 * len(other.range_m) >= len(frame.range_m)]
+    if len(whole) < _FEWEST_OTHERS:
+        return np.zeros(len(frame.cells), dtype=np.bool_)
+    return np.asarray(np.mean([~np.isfinite(other.nearest_m[frame.cells]) for other in whole], axis=0) > 0.5)
 
 
 def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:

@@ -168,6 +168,28 @@ def test_pedestrians_are_dropped_with_intensities_and_rings() -> None:
     assert np.allclose(np.linalg.norm(dropped_m, axis=1), 3.0, atol=1e-3)
 
 
+def test_pedestrians_before_the_sky_are_dropped() -> None:
+    """No beam returns from where they were."""
+    visited = [_with_visitor(scan, 25.0 * frame - 50.0) for frame, scan in enumerate(_drive(_ROOM_M, 0.0))]
+    under_sky = [scan.selected(mask | (scan.points_m[:, 2] < 0.0)) for scan, mask in visited]
+    kept, _ = drop_moving(under_sky, _CONFIG)
+    before, after = (
+        sum(int(np.sum(scan.intensity[scan.points_m[:, 2] > 0.2])) for scan in scans if scan.intensity is not None)
+        for scans in (under_sky, kept)
+    )
+    assert before > 500
+    assert after < 0.1 * before
+
+
+def test_frames_of_different_directions_prove_nothing() -> None:
+    halves = [
+        scan.selected((scan.points_m[:, 1] > 0.0) == (frame % 2 == 0))
+        for frame, scan in enumerate(_drive(_ROOM_M, 0.0))
+    ]
+    _, dropped_m = drop_moving(halves, _CONFIG)
+    assert len(dropped_m) < 0.01 * sum(len(scan.points_m) for scan in halves)
+
+
 def test_a_standing_person_is_kept() -> None:
     visited = [_with_visitor(scan, 0.0) for scan in _drive(_ROOM_M, 0.0)]
     _, dropped_m = drop_moving([scan for scan, _ in visited], _CONFIG)
