@@ -173,19 +173,30 @@ def check_shared_repetition(
         others = PairGraph.of(names, [each for each in joining if each is not pair])
         if others.implied(*sorted(pair.lidars)) is not None:
             continue
-        best = score_pose(pair.T_target_source)
-        for known in undecided:
-            for pose in known.registrations[0], *competing_poses(known.registrations, config):
-                implied = _through(pair, others, pose.T_target_source)
-                if implied is None or not _is_elsewhere(implied, pair.T_target_source, config):
-                    continue
-                competing, found = score_pose(implied), score_pose(pose.T_target_source)
-                by_pair = _through(known, others, pair.T_target_source)
-                assert by_pair is not None  # noqa: S101 - as the other way round
-                lead = best.lead_over(competing) + score_pose(by_pair).lead_over(found)
-                if lead < config.min_log_odds_margin:
-                    doubts.setdefault(id(pair), _repetition(pair, competing, known, lead, config))
+        doubt = (_repeated(pair, known, others, score_pose, config) for known in undecided)
+        if reason := next(filter(None, doubt), None):
+            doubts[id(pair)] = reason
     return _doubted(pairs, doubts)
+
+
+def _repeated(
+    pair: PairRegistration, known: PairRegistration, others: PairGraph, score_pose: ScorePose, config: AcceptanceConfig
+) -> Reason | None:
+    """Return why another pose of a pair is possible by those of an undecided one; None if none is."""
+    pose = pair.T_target_source
+    for other in known.registrations[0], *competing_poses(known.registrations, config):
+        implied = _through(pair, others, other.T_target_source)
+        by_pair = _through(known, others, pose)
+        if implied is None or by_pair is None or not is_distinct(implied, [pose]):
+            continue
+        if not is_near(implied, config.max_baseline_m):
+            continue
+        competing = score_pose(implied)
+        lead = score_pose(pose).lead_over(competing)
+        lead += score_pose(by_pair).lead_over(score_pose(other.T_target_source))
+        if lead < config.min_log_odds_margin:
+            return _repetition(pair, competing, known, lead, config)
+    return None
 
 
 def _through(pair: PairRegistration, others: PairGraph, pose: RigidTransform) -> RigidTransform | None:
@@ -196,10 +207,6 @@ def _through(pair: PairRegistration, others: PairGraph, pose: RigidTransform) ->
         if before is not None and after is not None:
             return before @ linking @ after
     return None
-
-
-def _is_elsewhere(implied: RigidTransform, pose: RigidTransform, config: AcceptanceConfig) -> bool:
-    return is_distinct(implied, [pose]) and is_near(implied, config.max_baseline_m)
 
 
 def is_contradicted(pair: PairRegistration) -> bool:

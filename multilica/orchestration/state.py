@@ -33,6 +33,9 @@ from multilica.stages.fine import RegistrationCloud
 from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
 from multilica.workers import Workers
 
+_Scores = dict[tuple[str, str, bytes], Registration]
+"""By the names of target and source and the bits of the pose."""
+
 
 def deadline_of(config: CalibrationConfig) -> float:
     """Return the end of `runtime.max_time_s` from now, on `time.monotonic`; infinite without a limit."""
@@ -54,7 +57,8 @@ class CalibrationState:
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
-    scores: dict[tuple[str, str, bytes], Registration] = field(default_factory=dict)
+    scores: _Scores = field(default_factory=dict)
+    rough_scores: _Scores = field(default_factory=dict)
     tested_loops: set[PairKey] = field(default_factory=set)
     target: str = ""
     target_reason: str = ""
@@ -107,10 +111,7 @@ class CalibrationState:
 
     def score_pose(self, pose: RigidTransform) -> Registration:
         """Score a pose between any two LiDARs by their beams."""
-        key = pose.target, pose.source, pose.matrix.tobytes()
-        if key not in self.scores:
-            self.scores[key] = score_pose(self._view(pose.target), self._view(pose.source), pose, *FINE_TOLERANCES)
-        return self.scores[key]
+        return self._scored(pose, self.scores, FINE_TOLERANCES)
 
     def remember(self, scores: Iterable[Registration]) -> None:
         """Keep scores for `score_pose`."""
@@ -120,13 +121,19 @@ class CalibrationState:
 
     def score_rough_pose(self, pose: RigidTransform) -> Registration:
         """Score a pose that may be off by some centimetres."""
-        return score_pose(self._view(pose.target), self._view(pose.source), pose, *ROUGH_TOLERANCES)
+        return self._scored(pose, self.rough_scores, ROUGH_TOLERANCES)
 
     def score_turned(self, motion: RigidTransform) -> VisibilityScore:
         """Score all that a LiDAR and those that accepted pairs link to it see, turned, against itself."""
         poses = PairGraph.of(self.clouds, self.accepted).poses(motion.target)
         placed = [(pose, self._view(name)) for name, pose in sorted(poses.items())]
         return score_visibility(placed, placed, motion, *ROUGH_TOLERANCES)
+
+    def _scored(self, pose: RigidTransform, known: _Scores, tolerances: tuple[float, float]) -> Registration:
+        key = pose.target, pose.source, pose.matrix.tobytes()
+        if key not in known:
+            known[key] = score_pose(self._view(pose.target), self._view(pose.source), pose, *tolerances)
+        return known[key]
 
     def _view(self, name: str) -> SensorView:
         view = self.lidars[name].view
