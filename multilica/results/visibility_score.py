@@ -93,8 +93,19 @@ class VisibilityScore:
     @property
     def slide_direction(self) -> FloatArray:
         """(3,) unit vector of the least constrained shift, the rotation free to follow."""
+        return np.asarray(np.linalg.eigh(self._shift_information)[1][:, 0])
+
+    @property
+    def slide_share(self) -> float:
+        """Information about the least constrained shift, as a share of that about the next one."""
+        least, following, _ = np.linalg.eigvalsh(self._shift_information)
+        return float(least / max(following, np.finfo(float).tiny))
+
+    @property
+    def _shift_information(self) -> FloatArray:
+        """(3, 3) of a shift, the rotation free to follow."""
         turn, cross, shift = self.information[:3, :3], self.information[:3, 3:], self.information[3:, 3:]
-        return np.asarray(np.linalg.eigh(shift - cross.T @ np.linalg.pinv(turn) @ cross)[1][:, 0])
+        return np.asarray(shift - cross.T @ np.linalg.pinv(turn) @ cross)
 
     @property
     def distinctive(self) -> float:

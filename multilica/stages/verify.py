@@ -9,8 +9,8 @@ import numpy as np
 
 from multilica.acceptance.accept import (
     cannot_be_accepted,
-    competing_poses,
     is_well_constrained,
+    may_be_accepted,
     min_competing_evidence,
 )
 from multilica.config import CalibrationConfig, FineConfig
@@ -34,8 +34,11 @@ _COARSE_TOLERANCE_DEG = 1.0
 # Before the short GICP, true poses had at least 1 more than the limit, and none won that was 10 behind the best.
 _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
-# Slid poses as near as this are always tested; farther ones as long as none competes with the best.
+# Slid poses as near as this are always tested; farther ones as long as the best may be accepted.
 _NEAR_SLIDE_M = 6.0
+# Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. In streets, yards and
+# halls this share is 0.2 to 1.
+_LONG_PLACE = 0.1
 # Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
 _EARLY_STOP_POSES = 6
 _EARLY_STOP_POSES_CONSTRAINED = 2
@@ -106,7 +109,7 @@ def verify_hypotheses(
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         found = _with_competing(target, source, found, hypothesis, settings, config)
     for hypothesis in _far_slides(found, config):
-        if len(competing_poses(_ranked(found, config), config.acceptance)) > 0:
+        if not may_be_accepted(_ranked(found, config), config.acceptance):
             break
         found = _with_competing(target, source, found, hypothesis, gicp, config)
     return tuple(_ranked(found, config))
@@ -228,11 +231,12 @@ def _start_of(found: Registration) -> Hypothesis:
 
 
 def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> list[Hypothesis]:
-    """Return poses along the weakest direction of a pose; none if it is well constrained."""
-    if is_well_constrained(best.visibility, config.acceptance):
+    """Return poses along the weakest direction of a pose; none if it is well constrained, unless the place is long."""
+    score = best.visibility
+    if is_well_constrained(score, config.acceptance) and score.slide_share >= _LONG_PLACE:
         return []
     steps = round(reach_m / SLIDE_STEP_M)
-    direction, max_baseline_m = best.visibility.slide_direction, config.acceptance.max_baseline_m
+    direction, max_baseline_m = score.slide_direction, config.acceptance.max_baseline_m
     return slid_hypotheses(_start_of(best), direction, max_baseline_m, steps)
 
 

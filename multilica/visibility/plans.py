@@ -179,9 +179,13 @@ def _coinciding(
         overlap = _overlap(plan, seen_m @ turn.T @ across.T) if quarter else unturned
         cells, shifts_m = _maxima(overlap, needed)
         positions_m = pose.xyz_m + shifts_m @ across
-        near_m = max_baseline_m if quarter else np.inf
+        distances_m = np.linalg.norm(positions_m, axis=1)
+        if not quarter:
+            # The opposite shift may be the one that leaves both on one vehicle.
+            opposite_m = np.linalg.norm(pose.xyz_m - shifts_m @ across, axis=1)
+            distances_m = np.minimum(distances_m, opposite_m)
         elsewhere = (quarter > 0) | (np.linalg.norm(shifts_m, axis=1) >= _APART_M)
-        near = np.flatnonzero((np.linalg.norm(positions_m, axis=1) <= near_m) & elsewhere)
+        near = np.flatnonzero((distances_m <= max_baseline_m) & elsewhere)
         for index in near[_apart(shifts_m[near], most)]:
             turned = RigidTransform.from_rotation_translation(
                 pose.target, pose.source, turn @ pose.rotation, positions_m[index]
