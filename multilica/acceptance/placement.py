@@ -99,12 +99,15 @@ def have_moved(offsets: Mapping[str, FloatArray], covariances: Mapping[str, Floa
     return bool(min(chances) < LEAST_PROBABILITY)
 
 
-def held_by_movable(covariance: FloatArray, fixed: FloatArray, config: AcceptanceConfig) -> Reason | None:
-    """Return why a LiDAR of a snapshot with one frame is uncertain, if objects that can move hold its pose.
+def held_by_movable(
+    covariance: FloatArray, fixed: FloatArray, config: AcceptanceConfig, *, moved: bool = False
+) -> Reason | None:
+    """Return why a LiDAR is uncertain, if objects that moved, or could have, hold its pose.
 
     Args:
         covariance: (6, 6) by all points.
         fixed: (6, 6) without the points on objects of the size of vehicles and people that stand free.
+        moved: the objects are known to have moved.
     """
     doubt = imprecision(*weakest_deviations(fixed), config)
     growth = max(np.divide(weakest_deviations(fixed), weakest_deviations(covariance)))
@@ -112,10 +115,9 @@ def held_by_movable(covariance: FloatArray, fixed: FloatArray, config: Acceptanc
         return None
     # By the variances, along the direction in which it is largest.
     share = 1.0 - 1.0 / float(np.linalg.eigvals(np.linalg.solve(covariance, fixed)).real.max())
-    text = (
-        f"objects that can move hold {share:.0%} of its information in one direction, and one frame cannot tell "
-        f"whether they did: without them {doubt.text}"
-    )
+    which = "objects that moved" if moved else "objects that can move"
+    unknown = "" if moved else ", and one frame cannot tell whether they did"
+    text = f"{which} hold {share:.0%} of its information in one direction{unknown}: without them {doubt.text}"
     return Reason("held_by_movable", doubt.value, doubt.limit, text)
 
 

@@ -353,8 +353,8 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
     held = [name for name, entry in document.lidars.items() if entry.held_by_movable]
     if held:
         yield (
-            f"{_listed(held)}: one frame cannot tell what moves, and only objects that can move hold the pose in one "
-            "direction. Record several frames (--frames 10)."
+            f"{_listed(held)}: only objects that can move hold the pose in one direction. Record several frames "
+            "(--frames 10), at a place where less moves."
         )
     for pair in document.refinement.pairs if document.refinement is not None else ():
         if pair.contradicts:

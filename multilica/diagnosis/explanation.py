@@ -52,7 +52,7 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
         "a higher limit, if the task allows this sigma (--max-sigma MM,DEG)",
     ),
     "held_by_movable": (
-        "only cars, people and the like hold it in one direction, and one frame cannot tell whether they moved",
+        "only cars, people and the like hold it in one direction, and they moved or may have moved",
         "several frames (--frames 10), in which moving points show and are left out",
         _OTHER_PLACE,
         _TOGETHER,

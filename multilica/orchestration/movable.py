@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses that only objects hold which could have moved between the scans."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,10 @@ from multilica.stages.ground import estimate_level
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
 
+_NONE_M = np.empty((0, 3))
+# In places where nothing moves, edges are a quarter of a percent of the returns.
+_MOVING_SHARE = 0.005
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FixedRequest:
@@ -37,31 +41,32 @@ class _FixedRequest:
 def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]) -> RefinedRig:
     """Return the rig with covariances that count fixed objects only, and find the LiDARs that only movable ones hold.
 
-    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one. If
-    fixed objects contradict a pose, all poses are those of the fixed ones.
+    With one frame, a moving car looks like a parked one. With several, moving points are left out beforehand, but a
+    car that crept stays in part: objects beside which points moved are left out whole. If some did move, or if fixed
+    objects contradict a pose, all poses are those of the fixed ones.
 
     Args:
         used: the pairs with which the poses were refined.
     """
     single = {lidar.name for lidar in state.snapshot.lidars if len(lidar.scans) == 1} & {*state.lidars}
-    chosen = [pair for pair in used if pair.information is not None and pair.lidars <= single]
-    if not chosen:
+    moving_m = _moving_points(state, rig.poses)
+    if not len(moving_m) and not any(pair.lidars <= single for pair in used):
         return rig
-    cells = _movable_cells(state, rig.poses)
-    if not len(cells.keys):
-        return rig
-    _show_movable(state, cells, rig.poses, single)
-    fixed = _without_movable(state, rig, used, chosen, cells)
+    cells = _movable_cells(state, rig.poses, moving_m)
+    cells_of = {name: cells if name in single else cells.of_moved for name in rig.poses}
+    _show_movable(state, cells_of, rig.poses)
+    chosen = {id(pair): cells if pair.lidars <= single else cells.of_moved for pair in used}
+    fixed = _without_movable(state, rig, used, chosen)
     if not fixed:
         return rig
     of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
     offsets = {name: of_fixed.poses[name].offset_from(rig.poses[name]) for name in rig.covariances}
-    moved = have_moved(offsets, of_fixed.covariances)
+    moved = bool(len(cells.moved)) or have_moved(offsets, of_fixed.covariances)
     after = of_fixed if moved else rig
     covariances = {}
     for name, off in offsets.items():
         covariances[name] = of_fixed.covariances[name] + (0.0 if moved else np.outer(off, off))
-        if held := held_by_movable(rig.covariances[name], covariances[name], state.config.acceptance):
+        if held := held_by_movable(rig.covariances[name], covariances[name], state.config.acceptance, moved=moved):
             state.held = {**state.held, name: held}
     state.fixed_pairs = {
         (pair.target, pair.source): pair for pair in fixed.values() if moved or pair.lidars & {*state.held}
@@ -69,16 +74,32 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
     return replace(after, covariances=covariances)
 
 
+def _moving_points(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return the points (K, 3) that moved between frames, of LiDARs with a pose, in the target's frame.
+
+    There are none where nothing but edges seems to move.
+    """
+    found = [_NONE_M]
+    for lidar in state.snapshot.lidars:
+        if lidar.name not in poses:
+            continue
+        moving_m = state.clouds[lidar.name].dropped_m.get("moving", _NONE_M)
+        if len(moving_m) > _MOVING_SHARE * sum(len(scan.points_m) for scan in lidar.scans):
+            found.append(poses[lidar.name].apply(moving_m))
+    return np.concatenate(found)
+
+
 def _without_movable(
     state: CalibrationState,
     rig: RefinedRig,
     used: Sequence[PairRegistration],
-    chosen: Sequence[PairRegistration],
-    cells: MovableCells,
+    cells: Mapping[int, MovableCells],
 ) -> dict[int, PairRegistration]:
-    """Return the pairs that movable objects hold as fixed ones do, by the `id` of the pair."""
+    """Return the pairs that movable objects hold as fixed ones do; all by the `id` of the pair."""
+    chosen = [pair for pair in used if pair.information is not None and len(cells[id(pair)].keys)]
     requests = {
-        id(pair): _FixedRequest(_slim(pair), cells, {name: rig.poses[name] for name in pair.lidars}) for pair in chosen
+        id(pair): _FixedRequest(_slim(pair), cells[id(pair)], {name: rig.poses[name] for name in pair.lidars})
+        for pair in chosen
     }
     of_lidars = [key for key in map(id, state.registrations.values()) if key in requests]
     found = dict(zip(of_lidars, state.workers.map(_reduce_pair, [requests[key] for key in of_lidars]), strict=True))
@@ -100,14 +121,15 @@ def _without_movable(
 
 
 def _show_movable(
-    state: CalibrationState, cells: MovableCells, poses: Mapping[str, RigidTransform], single: Collection[str]
+    state: CalibrationState, cells: Mapping[str, MovableCells], poses: Mapping[str, RigidTransform]
 ) -> None:
     if state.observe is events.ignore:
         return
-    for name in sorted(poses.keys() & single):
-        points_m = state.lidars[name].side.cloud.points_m
-        movable_m = points_m[cells.contain(poses[name].apply(points_m))]
-        state.observe(events.MovableFound(name, movable_m, len(points_m)))
+    for name, of_lidar in sorted(cells.items()):
+        if len(of_lidar.keys):
+            points_m = state.lidars[name].side.cloud.points_m
+            movable_m = points_m[of_lidar.contain(poses[name].apply(points_m))]
+            state.observe(events.MovableFound(name, movable_m, len(points_m)))
 
 
 def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:
@@ -138,10 +160,10 @@ def _slim(pair: PairRegistration) -> PairRegistration:
     return replace(pair, registrations=(), steps=())
 
 
-def _movable_cells(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> MovableCells:
+def _movable_cells(state: CalibrationState, poses: Mapping[str, RigidTransform], moving_m: FloatArray) -> MovableCells:
     clouds = {name: state.clouds[name].points_m for name in poses}
     state.level = level = estimate_level(state.target, clouds, poses, state.config)
     thinned = ((pose, state.lidars[name].side.cloud) for name, pose in sorted(poses.items()))
     points_m = np.concatenate([pose.apply(cloud.points_m) for pose, cloud in thinned])
     lidars_m = np.array([pose.xyz_m for _, pose in sorted(poses.items())])
-    return find_movable(points_m, lidars_m, np.eye(3) if level is None else level.rotation)
+    return find_movable(points_m, lidars_m, np.eye(3) if level is None else level.rotation, moving_m)

@@ -2,6 +2,7 @@
 """Objects of the size of vehicles and people that stand free on the ground."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -34,10 +35,15 @@ _CLEARANCE_M = 1.5
 # A post or a trunk: thinner than a person, and at least half as high.
 _POST_WIDTH_M = 0.35
 _POST_HEIGHT_M = 0.8
+# Edges of a parked car seem to move: such points fill a tenth as many cells as it has. Those of a car in a queue fill
+# half as many or more. A person fills more than ten.
+_MOVED_SHARE = 1.0 / 3.0
+_MOVED_CELLS = 10
 # Nearer to a LiDAR than anything but the vehicle that carries it.
 _OWN_VEHICLE_M = 1.0
-# Offsets of half of the 26 neighbours of a cell; the other half sees the same pairs.
-_NEIGHBOURS = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)]
+# Offsets of a cell and its neighbours, and of half of these; the other half sees the same pairs.
+_AROUND = list(product((-1, 0, 1), repeat=3))
+_NEIGHBOURS = [each for each in _AROUND if each > (0, 0, 0)]
 _OFFSET = 1 << 20
 
 
@@ -48,10 +54,17 @@ class MovableCells:
     Args:
         rotation: (3, 3) from the frame of the rig to one with z up.
         keys: (K,) sorted numbers of the cells.
+        moved: (M,) those of objects that did move.
     """
 
     rotation: FloatArray
     keys: IndexArray
+    moved: IndexArray
+
+    @property
+    def of_moved(self) -> "MovableCells":
+        """The cells of the objects that did move."""
+        return MovableCells(self.rotation, self.moved, self.moved)
 
     def contain(self, points_m: FloatArray) -> BoolArray:
         """Return which points (N, 3) in the frame of the rig lie on movable objects."""
@@ -61,7 +74,9 @@ class MovableCells:
         return np.asarray(self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys)
 
 
-def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArray) -> MovableCells:
+def find_movable(
+    points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArray, moving_m: FloatArray | None = None
+) -> MovableCells:
     """Find the cells of objects that could stand elsewhere in the next scan.
 
     These are connected groups of cells above the ground, none larger than a vehicle. A group that touches a wall, a
@@ -71,6 +86,7 @@ def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArra
         points_m: (N, 3) of all LiDARs in the frame of the rig.
         lidars_m: (L, 3) positions of the LiDARs.
         rotation: (3, 3) from that frame to one with z up.
+        moving_m: (K, 3) returns that are not in `points_m`, from places where other frames found nothing.
     """
     middle_m = lidars_m.mean(axis=0)
     points_m = points_m[lengths(points_m - middle_m) < _RANGE_M] @ rotation.T
@@ -78,7 +94,7 @@ def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArra
     high = above_m > _GROUND_M
     points_m, above_m = points_m[high], above_m[high]
     if not len(points_m):
-        return MovableCells(rotation, np.empty(0, dtype=np.int64))
+        return MovableCells(rotation, *(np.empty(0, dtype=np.int64) for _ in range(2)))
     # One point per cell is enough for an outline.
     keys, first = np.unique(_keys(np.floor(points_m / _CELL_M)), return_index=True)
     points_m, above_m = points_m[first], above_m[first]
@@ -87,9 +103,13 @@ def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArra
     for lidar_m in lidars_m @ rotation.T:
         own[object_of[lengths(points_m - lidar_m) < _OWN_VEHICLE_M]] = True
     movable = _is_movable(points_m, above_m, object_of, count) & ~own
-    found = keys[movable[object_of]]
-    # With the cells below: wheels and sills are below the height at which the ground ends.
-    return MovableCells(rotation, np.unique([found - below for below in range(_CELLS_BELOW + 1)]))
+    moved = np.zeros(count, dtype=np.bool_)
+    if moving_m is not None and len(moving_m):
+        moving = np.unique(_keys(np.floor(moving_m @ rotation.T / _CELL_M)))
+        least = np.maximum(_MOVED_CELLS, _MOVED_SHARE * np.bincount(object_of, minlength=count))
+        moved = _count_touching(keys, object_of, count, moving) >= least
+    found, of_moved = (_with_below(keys[each[object_of]]) for each in (movable, movable & moved))
+    return MovableCells(rotation, found, of_moved)
 
 
 def above_ground(points_m: FloatArray) -> FloatArray:
@@ -115,6 +135,22 @@ def _keys(cells: FloatArray) -> IndexArray:
     """Return one number (N,) per cell (N, 3)."""
     x, y, z = cells.astype(np.int64).T + _OFFSET // 2
     return np.asarray((x * _OFFSET + y) * _OFFSET + z)
+
+
+def _with_below(keys: IndexArray) -> IndexArray:
+    """Add the cells below: wheels and sills are below the height at which the ground ends."""
+    return np.unique([keys - below for below in range(_CELLS_BELOW + 1)])
+
+
+def _count_touching(keys: IndexArray, object_of: IndexArray, count: int, others: IndexArray) -> IndexArray:
+    """Count the other cells that each object has or touches."""
+    touching = []
+    for x, y, z in _AROUND:
+        wanted = others + (x * _OFFSET + y) * _OFFSET + z
+        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        other = np.flatnonzero(keys[found] == wanted)
+        touching.append(other * count + object_of[found[other]])
+    return np.bincount(np.unique(np.concatenate(touching)) % count, minlength=count)
 
 
 def _connected(keys: IndexArray) -> tuple[int, IndexArray]:

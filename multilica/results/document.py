@@ -124,7 +124,7 @@ class LidarEntry(Entry):
     held_by_movable: bool = Field(
         default=False,
         description="True if only objects of the size of vehicles and people hold an `uncertain` pose in some "
-        "direction, and one frame cannot tell whether they moved between the scans.",
+        "direction: they moved, or one frame cannot tell whether they did.",
     )
 
     def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from multilica.acceptance.accept import (
     cannot_be_accepted,
+    is_surely_ambiguous,
     is_well_constrained,
-    may_be_accepted,
     min_competing_evidence,
 )
 from multilica.config import CalibrationConfig, FineConfig
@@ -34,7 +34,7 @@ _COARSE_TOLERANCE_DEG = 1.0
 # Before the short GICP, true poses had at least 1 more than the limit, and none won that was 10 behind the best.
 _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
-# Slid poses as near as this are always tested; farther ones as long as the best may be accepted.
+# Slid poses as near as this are always tested; farther ones as long as none competes with the best.
 _NEAR_SLIDE_M = 6.0
 # Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. In streets, yards and
 # halls this share is 0.2 to 1.
@@ -109,7 +109,7 @@ def verify_hypotheses(
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         found = _with_competing(target, source, found, hypothesis, settings, config)
     for hypothesis in _far_slides(found, config):
-        if not may_be_accepted(_ranked(found, config), config.acceptance):
+        if is_surely_ambiguous(_ranked(found, config), config.acceptance):
             break
         found = _with_competing(target, source, found, hypothesis, gicp, config)
     return tuple(_ranked(found, config))

@@ -73,7 +73,7 @@ def test_a_pose_that_movable_objects_hold_asks_for_more_frames(document):
     assert uncertain.advice == CAUSES["held_by_movable"][1:]
     assert "--frames" in uncertain.advice[0]
     (warning,) = told.warnings
-    assert warning.startswith("rear: one frame cannot tell what moves")
+    assert warning.startswith("rear: only objects that can move hold the pose")
 
 
 def test_older_documents_have_no_pose_that_movable_objects_hold(document):

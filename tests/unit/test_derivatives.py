@@ -221,6 +221,7 @@ def test_the_slide_direction_is_the_least_certain_one():
         variances, directions = np.linalg.eigh(np.linalg.inv(information)[3:, 3:])
         assert variances[-1] > variances[-2]
         assert abs(score.slide_direction @ directions[:, -1]) == pytest.approx(1.0)
+        assert score.slide_share == pytest.approx(variances[-2] / variances[-1])
 
 
 @pytest.mark.parametrize("turn_rad", [1e-3, 1e-2])

@@ -91,6 +91,9 @@ def test_a_pose_that_only_a_car_holds_may_be_off_as_far_as_it():
     reason = held_by_movable(_covariance(pair), _covariance(fixed), _CONFIG)
     assert reason.code == "held_by_movable"
     assert "one frame" in reason.text
+    known = held_by_movable(_covariance(pair), _covariance(fixed), _CONFIG, moved=True)
+    assert known.text.startswith("objects that moved hold ")
+    assert "one frame" not in known.text
     placement = place(fixed.T_target_source, _covariance(fixed), _CONFIG, held=reason)
     assert placement.uncertain
     assert placement.held_by_movable

@@ -87,3 +87,25 @@ def test_nothing_but_ground_has_no_movable_cells():
 
 def test_points_out_of_range_alone_have_no_movable_cells():
     assert len(find_movable(_GROUND + 500.0, _LIDARS_M, _LEVEL).keys) == 0
+
+
+@pytest.mark.parametrize(
+    ("moving_m", "moved"),
+    [
+        (_CAR + np.array([0.8, 0.0, 0.0]), True),
+        (_CAR[:3] + np.array([0.0, 0.1, 0.0]), False),
+        (_CAR + np.array([0.0, 6.0, 0.0]), False),
+        (np.empty((0, 3)), False),
+    ],
+    ids=["crept", "edges", "another", "nothing"],
+)
+def test_a_car_moved_if_as_much_as_a_third_of_it_did(moving_m, moved):
+    cells = find_movable(np.concatenate([_GROUND, _CAR, _PERSON]), _LIDARS_M, _LEVEL, moving_m)
+    assert cells.contain(_CAR).mean() > 0.95
+    assert (cells.of_moved.contain(_CAR).mean() > 0.95) == moved
+    assert not cells.of_moved.contain(_PERSON).any()
+
+
+def test_what_is_built_has_not_moved():
+    cells = find_movable(np.concatenate([_GROUND, _WALL]), _LIDARS_M, _LEVEL, _WALL + np.array([0.3, 0.0, 0.0]))
+    assert not len(cells.of_moved.keys)

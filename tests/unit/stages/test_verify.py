@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.accept import competing_poses
+from multilica.acceptance.accept import competing_poses, is_surely_ambiguous
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
@@ -222,12 +222,28 @@ def test_a_pose_among_equal_pillars_has_competing_poses(aisle):
 
 
 @pytest.mark.slow
-def test_far_slides_are_tested_until_one_competes(aisle):
-    best, *others = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)
-    assert len(competing_poses([best, *others], _LIMITS)) == 1
-    assert [each.derivation[:8] for each in (best, *others) if each.derivation] == ["slid by "]
+def test_far_slides_are_tested_until_one_surely_competes(aisle):
+    found = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)
+    slid = [each for each in found if each.derivation]
+    assert {each.derivation[:8] for each in slid} == {"slid by "}
+    last = max(slid, key=_metres_slid)
+    assert is_surely_ambiguous(found, _LIMITS)
+    assert not is_surely_ambiguous([each for each in found if each is not last], _LIMITS)
     (alone,) = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0)
-    assert alone.evidence in {each.evidence for each in (best, *others)}
+    assert alone.evidence in {each.evidence for each in found}
+
+
+def _metres_slid(found):
+    return abs(float(found.derivation.split()[2]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("long_place", "slid"), [(0.0, False), (1.0, True)])
+def test_well_constrained_poses_are_slid_in_long_places(aisle, monkeypatch, long_place, slid):
+    monkeypatch.setattr(verify, "_LONG_PLACE", long_place)
+    firm = _LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0})
+    found = _verified(aisle, _near(_TRUTH), limits=firm, near_slide_m=0.0, far=True)
+    assert any(each.derivation.startswith("slid by ") for each in found) == slid
 
 
 def _labels(found):

@@ -122,13 +122,14 @@ def _row(xs_m, height_m=2.0, sides_m=(-5.0, 4.0)):
     return np.array([(x_m, y_m, z_m) for x_m in xs_m for y_m in sides_m for z_m in levels_m])
 
 
-def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT):
-    """Let both LiDARs see the same things on flat ground."""
-    points_m = np.concatenate([ground_m, standing_m])
-    normals = np.zeros_like(points_m)
-    normals[: len(ground_m)] = _UP
+def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT, seen_m=None):
+    """Let both LiDARs see the same things on flat ground, unless the source sees others."""
+    seen_m = standing_m if seen_m is None else seen_m
+    points_m, also_m = (np.concatenate([ground_m, each]) for each in (standing_m, seen_m))
+    normals, of_source = np.zeros_like(points_m), np.zeros_like(also_m)
+    normals[: len(ground_m)] = of_source[: len(ground_m)] = _UP
     target = SimpleNamespace(probes_m=points_m, normals=normals)
-    source = SimpleNamespace(probes_m=_POSE.inverse().apply(points_m), normals=_POSE.inverse().rotate(normals))
+    source = SimpleNamespace(probes_m=_POSE.inverse().apply(also_m), normals=_POSE.inverse().rotate(of_source))
     sides = [(RigidTransform.identity("t", "t"), target)], [(RigidTransform.identity("s", "s"), source)]
     return repeated_hypotheses(*sides, Hypothesis(_POSE, origin="cliques", index=3), up, max_baseline_m)
 
@@ -150,6 +151,13 @@ def test_repeated_poses_beyond_the_baseline_are_none():
     found = _repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M)), max_baseline_m=9.5)
     assert 0 < len(found) < len(_repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M))))
     assert all(np.linalg.norm(each.T_target_source.xyz_m) <= 9.5 for each in found)
+
+
+def test_far_repetitions_do_not_crowd_out_those_on_the_vehicle():
+    """Five posts fit at any part of a long row equally well."""
+    long, short = (_row(np.arange(-reach_m, reach_m + 1.0, _PERIOD_M)) for reach_m in (60.0, 15.0))
+    found = _repeated(long, max_baseline_m=9.5, seen_m=short)
+    assert {round((each.T_target_source.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in found} == {-1, 1}
 
 
 def test_single_things_do_not_repeat():
