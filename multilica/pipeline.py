@@ -15,7 +15,8 @@ from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds, open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PAIR_STAGES, PreparedLidar
-from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
+from multilica.orchestration.refinement import refine_rig
+from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refused, result_of
 from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState, deadline_of
 from multilica.results import CalibrationResult, Refusal

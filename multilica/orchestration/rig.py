@@ -3,19 +3,16 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from multilica import events
-from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, widened
 from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.member_pairs import fit_members
-from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.pairs import SearchRequest, prepare_lidar, register_sides, search_pair
 from multilica.orchestration.state import CalibrationState
 from multilica.results import (
@@ -25,14 +22,11 @@ from multilica.results import (
     Group,
     Hypothesis,
     LidarPlacement,
-    MergeDecision,
     PairKey,
     PairRegistration,
-    PairResidual,
     PreprocessedCloud,
     Refusal,
     SensorBias,
-    Verdict,
     connected,
 )
 from multilica.snapshot import Snapshot
@@ -47,7 +41,7 @@ from multilica.stages.merge import (
     register_groups,
 )
 from multilica.stages.pair_choice import choose_target
-from multilica.stages.refine import refine, trusted_pairs
+from multilica.stages.refine import trusted_pairs
 from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
 from multilica.workers import Shared
 
@@ -168,55 +162,6 @@ def _side_of(state: CalibrationState, group: Group) -> RegistrationCloud:
 def _merged_points(state: CalibrationState, group: Group) -> FloatArray:
     """Return the points (N, 3) of all members in the frame of the root."""
     return np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
-
-
-def refine_rig(state: CalibrationState) -> None:
-    """Refine all poses jointly; LiDARs whose pairs contradict each other lose their pose, or have a wider covariance.
-
-    A contradiction below the limits of a placed LiDAR is counted in its covariance. With a larger one no pose of the
-    cycle can be trusted: the disagreement does not say how far the wrong pair is off.
-    """
-    if not state.config.refine.enabled or state.group is None:
-        return
-    poses, limits = state.group.poses, state.config.acceptance
-    while True:
-        used = [pair for pair in trusted_pairs(state.registrations.values(), state.merges) if pair.lidars <= {*poses}]
-        rig = refine(state.target, poses, used, state.config.refine)
-        doubts = doubted_lidars(state.target, used, rig.refinement.pairs)
-        lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
-        if not lost:
-            break
-        _doubt_pairs_of(state, lost)
-        poses = {name: pose for name, pose in poses.items() if name not in lost}
-    state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
-    rig = doubt_movable(state, rig, used)
-    state.group = Group(state.target, rig.poses)
-    state.covariances = widened(rig.covariances, doubts)
-    state.repeatability, state.refinement = rig.repeatability, rig.refinement
-    state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
-
-
-def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
-    """Leave the accepted pairs of LiDARs undecided whose cycle does not close."""
-    for key, pair in state.registrations.items():
-        residuals = [lost[name] for name in sorted(pair.lidars & lost.keys())]
-        if residuals and pair.verdict.accepted:
-            reason = contradiction_of(residuals[0], state.config.acceptance)
-            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
-            state.observe(events.VerdictChanged(state.registrations[key]))
-    state.merges = [merge for merge in state.merges if not any(pair.lidars & lost.keys() for pair in merge)]
-    _split_off(state, lost)
-
-
-def _split_off(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
-    """Take LiDARs out of the target's group, each into a group of its own."""
-    groups = [tuple(name for name in group if name not in lost) for group in state.decisions[-1].groups]
-    groups = [*filter(None, groups), *((name,) for name in sorted(lost))]
-    texts = sorted({contradiction_of(each, state.config.acceptance).text for each in lost.values()})
-    reason = f"{', '.join(sorted(lost))} left the group: {'; '.join(texts)}"
-    decision = MergeDecision(len(state.decisions), (), None, reason, tuple(groups))
-    state.decisions.append(decision)
-    state.observe(events.MergeStepTaken(decision, ()))
 
 
 def compare_surfaces(state: CalibrationState) -> None:

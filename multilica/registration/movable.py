@@ -80,7 +80,7 @@ def find_movable(
     """Find the cells of objects that could stand elsewhere in the next scan.
 
     These are connected groups of cells above the ground, none larger than a vehicle. A group that touches a wall, a
-    rail or a ceiling belongs to it.
+    rail or a ceiling belongs to it. A row of cars that did move may be longer: cars that creep fill the gaps.
 
     Args:
         points_m: (N, 3) of all LiDARs in the frame of the rig.
@@ -102,13 +102,13 @@ def find_movable(
     own = np.zeros(count, dtype=np.bool_)
     for lidar_m in lidars_m @ rotation.T:
         own[object_of[lengths(points_m - lidar_m) < _OWN_VEHICLE_M]] = True
-    movable = _is_movable(points_m, above_m, object_of, count) & ~own
+    vehicle, row = (each & ~own for each in _outlines(points_m, above_m, object_of, count))
     moved = np.zeros(count, dtype=np.bool_)
     if moving_m is not None and len(moving_m):
         moving = np.unique(_keys(np.floor(moving_m @ rotation.T / _CELL_M)))
         least = np.maximum(_MOVED_CELLS, _MOVED_SHARE * np.bincount(object_of, minlength=count))
         moved = _count_touching(keys, object_of, count, moving) >= least
-    found, of_moved = (_with_below(keys[each[object_of]]) for each in (movable, movable & moved))
+    found, of_moved = (_with_below(keys[each[object_of]]) for each in (vehicle | (row & moved), row & moved))
     return MovableCells(rotation, found, of_moved)
 
 
@@ -167,8 +167,10 @@ def _connected(keys: IndexArray) -> tuple[int, IndexArray]:
     return int(count), groups.astype(np.int64)
 
 
-def _is_movable(points_m: FloatArray, above_m: FloatArray, object_of: IndexArray, count: int) -> BoolArray:
-    """Return which objects have the outline of a vehicle or a person."""
+def _outlines(
+    points_m: FloatArray, above_m: FloatArray, object_of: IndexArray, count: int
+) -> tuple[BoolArray, BoolArray]:
+    """Return which objects have the outline of a vehicle or a person, and of a row of them as well."""
     x_m, y_m = points_m[:, :2].T
     number = np.bincount(object_of, minlength=count)
     x_m, y_m = (each - (np.bincount(object_of, each, count) / number)[object_of] for each in (x_m, y_m))
@@ -180,9 +182,9 @@ def _is_movable(points_m: FloatArray, above_m: FloatArray, object_of: IndexArray
     np.minimum.at(lowest_m, object_of, above_m)
     np.maximum.at(highest_m, object_of, above_m)
     longest_m = np.where(highest_m > _LORRY_HEIGHT_M, _LORRY_LENGTH_M, _CAR_LENGTH_M)
-    vehicle = (length_m < longest_m) & (width_m < _WIDTH_M) & (highest_m < _HEIGHT_M) & (lowest_m < _CLEARANCE_M)
     post = (np.maximum(length_m, width_m) < _POST_WIDTH_M) & (highest_m - lowest_m > _POST_HEIGHT_M)
-    return np.asarray(vehicle & ~post)
+    row = (width_m < _WIDTH_M) & (highest_m < _HEIGHT_M) & (lowest_m < _CLEARANCE_M) & ~post
+    return row & (length_m < longest_m), row
 
 
 def _extent(values: FloatArray, labels: IndexArray, count: int) -> FloatArray:

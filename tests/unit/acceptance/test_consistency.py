@@ -10,9 +10,10 @@ import pytest
 from multilica.acceptance.consistency import doubted_lidars
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig, with_overrides
-from multilica.orchestration.rig import refine_rig, result_of
+from multilica.orchestration.refinement import refine_rig
+from multilica.orchestration.rig import result_of
 from multilica.orchestration.state import CalibrationState
-from multilica.results import Group, MergeCandidate, MergeDecision, PairResidual, PreprocessedCloud
+from multilica.results import Group, MergeCandidate, MergeDecision, PairResidual, PreprocessedCloud, Verdict
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.unit.acceptance.made_rig import IN_A, linked
 
@@ -20,14 +21,15 @@ _SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
 _INFORMATION = np.diag(np.repeat([_SIGMA_RAD, _SIGMA_M], 3) ** -2.0)
 
 
-def _calibrated(pairs):
-    """The state after the refinement of a rig whose pairs were all merged."""
+def _calibrated(pairs, merges=()):
+    """The state after the refinement of a rig whose pairs were all merged, and some groups."""
     point = np.ones((1, 3), dtype=np.float32)
     snapshot = Snapshot(tuple(LidarScans(name, (Scan(point),)) for name in IN_A), "made")
     config = with_overrides(CalibrationConfig(target="a"), ["verify.enabled=false"])
     state = CalibrationState(snapshot, config, lambda _: None)
     state.clouds = {name: PreprocessedCloud(name, point, point) for name in IN_A}
     state.registrations = {(pair.target, pair.source): pair for pair in pairs}
+    state.merges = list(merges)
     state.target, state.group = "a", Group("a", dict(IN_A))
     for name in "bcd":
         chosen = MergeCandidate("a", name, 0.5, 0.05, passes=True)
@@ -71,6 +73,38 @@ def test_a_large_contradiction_leaves_its_cycle_without_poses(by_m):
     assert "c against b contradicts the other pairs of its cycle by" in result["c"].reason
     assert not any(pair.lidars & lost for pair in result.trusted)
     assert not any(pair.contradicts for pair in state.refinement.pairs)
+
+
+_UNCERTAIN = Verdict("uncertain")
+
+
+def _merged_with_a_lost_one(*further):
+    """The state where b and c contradict each other, and d was merged into the group of a and b."""
+    cycle = [pair for pair in _pairs("bc", by_m=0.3) if "d" not in pair.lidars]
+    merge = [_weak(pair) for pair in _pairs() if pair.lidars in ({"a", "d"}, {"b", "d"})]
+    return _calibrated([*cycle, *further], [tuple(merge)])
+
+
+def _weak(pair, verdict=_UNCERTAIN):
+    return replace(pair, verdict=verdict, information=_INFORMATION / 1e4)
+
+
+def test_what_was_merged_with_a_lost_lidar_keeps_an_uncertain_pair():
+    """Without it, it would be placed with no pair that gives its sigma."""
+    (of_d,) = (_weak(pair) for pair in _pairs() if pair.lidars == {"a", "d"})
+    result = result_of(_merged_with_a_lost_one(of_d))
+    assert [result[name].status for name in "bcd"] == ["not_placed", "not_placed", "uncertain"]
+    assert of_d in result.trusted
+    np.testing.assert_allclose(result["d"].covariance, np.linalg.inv(of_d.information), rtol=0.5, atol=1e-12)
+
+
+@pytest.mark.parametrize("verdict", [None, Verdict("reject")], ids=["no pair", "refused"])
+def test_what_only_a_lost_lidar_joins_is_not_placed(verdict):
+    of_d = [_weak(pair, verdict) for pair in _pairs() if pair.lidars == {"a", "d"} and verdict is not None]
+    state = _merged_with_a_lost_one(*of_d)
+    assert result_of(state)["d"].status == "not_placed"
+    assert state.decisions[-1].reason.endswith("without these nothing joins d")
+    assert ("d",) in state.decisions[-1].groups
 
 
 def test_a_small_contradiction_widens_sigma_to_cover_both():

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint refinement of the rig, and the LiDARs that lose their pose in it."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from multilica import events
+from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, widened
+from multilica.orchestration.movable import doubt_movable
+from multilica.orchestration.state import CalibrationState
+from multilica.results import Group, MergeDecision, PairRegistration, PairResidual, Verdict, connected
+from multilica.stages.refine import refine, trusted_pairs
+
+
+def refine_rig(state: CalibrationState) -> None:
+    """Refine all poses jointly; LiDARs whose pairs contradict each other lose their pose, or have a wider covariance.
+
+    A contradiction below the limits of a placed LiDAR is counted in its covariance. With a larger one no pose of the
+    cycle can be trusted: the disagreement does not say how far the wrong pair is off.
+    """
+    if not state.config.refine.enabled or state.group is None:
+        return
+    poses, limits = state.group.poses, state.config.acceptance
+    while True:
+        used = _pairs_between(state, poses)
+        rig = refine(state.target, poses, used, state.config.refine)
+        doubts = doubted_lidars(state.target, used, rig.refinement.pairs)
+        lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
+        if not lost:
+            break
+        _doubt_pairs_of(state, lost)
+        left = _rejoin(state, poses.keys() - lost.keys())
+        _split_off(state, lost, poses.keys() - lost.keys() - left)
+        poses = {name: pose for name, pose in poses.items() if name in left}
+    state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
+    rig = doubt_movable(state, rig, used)
+    state.group = Group(state.target, rig.poses)
+    state.covariances = widened(rig.covariances, doubts)
+    state.repeatability, state.refinement = rig.repeatability, rig.refinement
+    state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+
+def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
+    """Leave the accepted pairs of LiDARs undecided whose cycle does not close."""
+    for key, pair in state.registrations.items():
+        residuals = [lost[name] for name in sorted(pair.lidars & lost.keys())]
+        if residuals and pair.verdict.accepted:
+            reason = contradiction_of(residuals[0], state.config.acceptance)
+            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
+            state.observe(events.VerdictChanged(state.registrations[key]))
+    state.merges = [merge for merge in state.merges if not any(pair.lidars & lost.keys() for pair in merge)]
+
+
+def _pairs_between(state: CalibrationState, names: Collection[str]) -> list[PairRegistration]:
+    """Return the pairs that decide poses, between these LiDARs."""
+    return [pair for pair in trusted_pairs(state.registrations.values(), state.merges) if pair.lidars <= {*names}]
+
+
+def _rejoin(state: CalibrationState, names: Collection[str]) -> set[str]:
+    """Join those of the LiDARs whose merge went with a lost one to the target by uncertain pairs, the likeliest first.
+
+    Returns:
+        The LiDARs that are joined now.
+    """
+    pairs = [pair for pair in state.registrations.values() if pair.lidars <= {*names}]
+    uncertain = sorted((pair for pair in pairs if pair.verdict.outcome == "uncertain"), key=lambda pair: -pair.evidence)
+    while True:
+        joined = connected(state.target, _pairs_between(state, names))
+        joining = next((pair for pair in uncertain if len(pair.lidars & joined) == 1), None)
+        if joining is None:
+            return joined
+        state.merges.append((joining,))
+
+
+def _split_off(state: CalibrationState, lost: Mapping[str, PairResidual], alone: Collection[str]) -> None:
+    """Take LiDARs out of the target's group, each into a group of its own.
+
+    Args:
+        alone: LiDARs that no pair joins without the lost ones.
+    """
+    gone = {*lost, *alone}
+    groups = [tuple(name for name in group if name not in gone) for group in state.decisions[-1].groups]
+    groups = [*filter(None, groups), *((name,) for name in sorted(gone))]
+    texts = sorted({contradiction_of(each, state.config.acceptance).text for each in lost.values()})
+    reason = f"{', '.join(sorted(lost))} left the group: {'; '.join(texts)}"
+    if alone:
+        reason = f"{reason}; without {'these' if len(lost) > 1 else 'it'} nothing joins {', '.join(sorted(alone))}"
+    decision = MergeDecision(len(state.decisions), (), None, reason, tuple(groups))
+    state.decisions.append(decision)
+    state.observe(events.MergeStepTaken(decision, ()))
