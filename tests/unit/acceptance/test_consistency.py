@@ -89,7 +89,7 @@ def _weak(pair, verdict=_UNCERTAIN):
     return replace(pair, verdict=verdict, information=_INFORMATION / 1e4)
 
 
-def test_what_was_merged_with_a_lost_lidar_keeps_an_uncertain_pair():
+def test_a_merge_with_a_lost_lidar_leaves_an_uncertain_pair():
     """Without it, it would be placed with no pair that gives its sigma."""
     (of_d,) = (_weak(pair) for pair in _pairs() if pair.lidars == {"a", "d"})
     result = result_of(_merged_with_a_lost_one(of_d))
