@@ -139,11 +139,15 @@ class LoopRegistered(Event):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovableFound(Event):
-    """Some of the `count` points of a LiDAR with one frame, `points_m` (N, 3), lie on objects that could have moved."""
+    """Some of the `count` points of a LiDAR, `points_m` (N, 3), lie on objects that could have moved, or that `moved`.
+
+    The latter are left out of the poses.
+    """
 
     lidar: str
     points_m: FloatArray
     count: int
+    moved: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses that only objects hold which could have moved between the scans."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,7 +54,7 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
         return rig
     cells = _movable_cells(state, rig.poses, moving_m)
     cells_of = {name: cells if name in single else cells.of_moved for name in rig.poses}
-    _show_movable(state, cells_of, rig.poses)
+    _show_movable(state, cells_of, rig.poses, single)
     chosen = {id(pair): cells if pair.lidars <= single else cells.of_moved for pair in used}
     fixed = _without_movable(state, rig, used, chosen)
     if not fixed:
@@ -121,7 +121,10 @@ def _without_movable(
 
 
 def _show_movable(
-    state: CalibrationState, cells: Mapping[str, MovableCells], poses: Mapping[str, RigidTransform]
+    state: CalibrationState,
+    cells: Mapping[str, MovableCells],
+    poses: Mapping[str, RigidTransform],
+    single: Collection[str],
 ) -> None:
     if state.observe is events.ignore:
         return
@@ -129,7 +132,7 @@ def _show_movable(
         if len(of_lidar.keys):
             points_m = state.lidars[name].side.cloud.points_m
             movable_m = points_m[of_lidar.contain(poses[name].apply(points_m))]
-            state.observe(events.MovableFound(name, movable_m, len(points_m)))
+            state.observe(events.MovableFound(name, movable_m, len(points_m), moved=name not in single))
 
 
 def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:

@@ -36,6 +36,7 @@ class RunState:
         rig: poses in the target's frame after the joint refinement.
         stops: names of the stops of a drive that links connect, in order.
         residuals: LiDARs with a residual of the merged cloud.
+        left_out: LiDARs of which points on objects that moved are left out of the poses.
         figures: cache of `stage_figures`.
         outlines: cache of `field_of_view`.
     """
@@ -58,6 +59,7 @@ class RunState:
     rig: tuple[RigidTransform, ...] = ()
     stops: tuple[str, ...] = ()
     residuals: set[str] = field(default_factory=set)
+    left_out: set[str] = field(default_factory=set)
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
@@ -163,6 +165,8 @@ class RunState:
                 self.decisions.append(decision)
             case events.RigRefined(_, poses):
                 self.rig = poses
+            case events.MovableFound(lidar, points_m, _, moved) if moved and len(points_m):
+                self.left_out.add(lidar)
             case events.ResidualsMeasured(residuals):
                 self.residuals.add(residuals.lidar)
             case events.GroundEstimated():

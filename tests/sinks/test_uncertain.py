@@ -132,6 +132,16 @@ def test_objects_that_hold_a_pose_have_a_tab(tmp_path):
     assert len(Recording(path).last("/lidars/rear/movable", "Points3D:positions")) == 12
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("moved", [False, True])
+def test_objects_that_moved_have_a_tab(tmp_path, moved):
+    path = tmp_path / "moved.rrd"
+    with RerunRecording(path) as observe:
+        for event in made_events("uncertain"):
+            observe(replace(event, moved=moved) if isinstance(event, events.MovableFound) else event)
+    assert ("Movable" in blueprint_names(path)[-1]) == moved
+
+
 def _held(finished):
     placements = (replace(each, held_by_movable=each.uncertain) for each in finished.result.placements)
     return events.CalibrationFinished(replace(finished.result, placements=tuple(placements)))

@@ -61,14 +61,16 @@ def _residual_tab(state: RunState) -> rrb.Container | None:
 
 
 def _movable_tab(state: RunState) -> rrb.Container | None:
-    """Show the objects that could have moved; None where they hold no pose."""
+    """Show the objects that moved and are left out, or that could have and hold a pose; None without such objects."""
     document = state.document
-    if not any(entry.held_by_movable for entry in document.lidars.values()):
+    if state.left_out:
+        objects = "Objects that moved (orange) are left out"
+    elif any(entry.held_by_movable for entry in document.lidars.values()):
+        objects = "Objects that could have moved (orange) hold a pose"
+    else:
         return None
     contents = [scene.lidar_path(lidar, kind) for lidar in sorted(document.lidars) for kind in ("residual", "movable")]
-    name = (
-        "Objects that could have moved (orange) hold a pose; other points by their distance to other LiDARs' surfaces"
-    )
+    name = f"{objects}; other points by their distance to other LiDARs' surfaces"
     view = scene_view(name, scene.lidar_frame(document.target), contents, around_rig(state))
     return rrb.Horizontal(view, name="Movable")
 

@@ -70,8 +70,10 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _line(f"target: {target} ({reason})")
         case events.MergeStepTaken(decision):
             return _merge_step(decision)
-        case events.MovableFound(lidar, points_m, count):
-            return _line(f"{lidar}: {len(points_m):,} of {count:,} points on objects that could have moved", "DEBUG")
+        case events.MovableFound(lidar, points_m, count, moved):
+            left_out = "moved, left out" if moved else "could have moved"
+            share = f"{lidar}: {len(points_m):,} of {count:,} points on objects that {left_out}"
+            return _line(share, "INFO" if moved else "DEBUG")
         case events.RigRefined(refinement):
             return _refined(refinement)
         case events.StopsLinked(stops, links):

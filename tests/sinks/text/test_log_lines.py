@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from multilica import events
@@ -21,6 +22,11 @@ def state_of(*args, stop_after: int | None = None) -> RunState:
     for event in list(made_events(*args))[:stop_after]:
         state(event)
     return state
+
+
+def test_points_on_objects_that_moved_are_told():
+    (line,) = log_lines(events.MovableFound("rear", np.zeros((12, 3)), 600, moved=True))
+    assert (line.level, line.text) == ("INFO", "rear: 12 of 600 points on objects that moved, left out")
 
 
 def test_every_event_has_a_line():
