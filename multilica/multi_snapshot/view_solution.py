@@ -64,7 +64,12 @@ class ViewSolution:
         return bool(offset @ np.linalg.solve(self.covariance[block, block], offset) < LARGEST_RESIDUAL)
 
     def is_confirmed(self, link: ViewPair) -> bool:
-        """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells."""
+        """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells.
+
+        They do not if one of its LiDARs has no pose here.
+        """
+        if link not in self.pairs:
+            return False
         jacobian, columns = self.poses.jacobian(link)
         information = self.information.copy()
         own = np.asarray(link.registration.information)

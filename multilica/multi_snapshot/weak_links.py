@@ -62,8 +62,7 @@ def _may_tell(pairs: Sequence[ViewPair]) -> bool:
 
 def _all_fit(solution: ViewSolution, added: Sequence[ViewPair]) -> bool:
     """Return whether others tell where each added link has to be, and every link and pair is where it has to be."""
-    used = solution.linked.links
-    if any(link not in used or not solution.is_confirmed(link) for link in added):
+    if not all(solution.is_confirmed(link) for link in added):
         return False
     return all(_residual(solution, pair) < LARGEST_RESIDUAL for pair in solution.pairs)
 

@@ -52,3 +52,10 @@ def test_weak_links_add_to_poses_that_are_told():
     sure = _links(f"{_SURE} A2-B2 A3-B3")
     right, wrong = _links("A1-B3 A3-B1", 1), pair("A2", "B1", off=_OFF)
     assert confirmed_links("A", [], sure, [*right, wrong]) == right
+
+
+def test_a_link_of_a_lidar_without_a_pose_is_not_confirmed():
+    """Motions of the LiDARs may leave one without a pose that links alone gave one."""
+    sure, (link,) = _links(_SURE), _links("A1-B3", 1)
+    assert not solve_views("A", sure).is_confirmed(link)
+    assert solve_views("A", sure).is_confirmed(sure[0])
