@@ -7,11 +7,12 @@ from threadpoolctl import threadpool_limits
 
 from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
-from multilica.acceptance.placement import place, unplaced_near_known
+from multilica.acceptance.placement import are_contradicted, place, unplaced_near_known
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds
+from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.pairs import register_sides, score_implied
 from multilica.orchestration.state import CalibrationState, deadline_of
 from multilica.results import (
@@ -41,7 +42,8 @@ def register_from_known(
     """Register the LiDARs of a snapshot from their known poses.
 
     GICP and the fit to planes start at the known poses of pairs that see the same, those with the most common points
-    first, until all LiDARs are linked. A LiDAR that moved by centimetres or degrees is followed to where it is now.
+    first, until all LiDARs are linked. A LiDAR that moved by centimetres or degrees is followed to where it is now. If
+    one seems to have moved, objects that did, or could have, are left out as in a calibration.
 
     Args:
         snapshot: at least two LiDARs with returns.
@@ -89,11 +91,16 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
+    offsets = {name: rig.poses[name].offset_from(known.between(root, name)) for name in rig.covariances}
+    if offsets and are_contradicted(offsets, rig.covariances):
+        # It may have been a car that moved.
+        state.target = root
+        rig = doubt_movable(state, rig, accepted)
     limits = state.config.acceptance
 
     def placement(name: str) -> LidarPlacement:
         if name in rig.poses:
-            return place(rig.poses[name], rig.covariances.get(name), limits)
+            return place(rig.poses[name], rig.covariances.get(name), limits, held=state.held.get(name))
         return unplaced_near_known(name, rig.poses, scores, found, limits, state.not_reached)
 
     placements = tuple(map(placement, state.snapshot.names))

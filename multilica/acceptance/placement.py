@@ -86,14 +86,15 @@ def place(
     )
 
 
-def have_moved(offsets: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> bool:
-    """Return whether fixed objects contradict the poses by all points, so that movable ones have moved.
+def are_contradicted(offsets: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> bool:
+    """Return whether a pose is farther off than its covariance allows.
 
-    This is the test of Hausman (Econometrica 1978), cautious as it takes the whole covariance for that of the offset.
+    If fixed objects contradict the poses by all points, movable ones have moved. That is the test of Hausman
+    (Econometrica 1978), cautious as it takes the whole covariance for that of the offset.
 
     Args:
-        offsets: per LiDAR (6,) of its pose by fixed objects from that by all points.
-        covariances: per LiDAR (6, 6) of its pose by fixed objects.
+        offsets: per LiDAR (6,) of its pose from that which is tested.
+        covariances: per LiDAR (6, 6) of its pose.
     """
     chances = (chdtrc(off.size, off @ np.linalg.solve(covariances[name], off)) for name, off in offsets.items())
     return bool(min(chances) < LEAST_PROBABILITY)

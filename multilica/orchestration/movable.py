@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multilica import events
-from multilica.acceptance.placement import have_moved, held_by_movable
+from multilica.acceptance.placement import are_contradicted, held_by_movable
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
@@ -61,7 +61,7 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
         return rig
     of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
     offsets = {name: of_fixed.poses[name].offset_from(rig.poses[name]) for name in rig.covariances}
-    moved = bool(len(cells.moved)) or have_moved(offsets, of_fixed.covariances)
+    moved = bool(len(cells.moved)) or are_contradicted(offsets, of_fixed.covariances)
     after = of_fixed if moved else rig
     covariances = {}
     for name, off in offsets.items():

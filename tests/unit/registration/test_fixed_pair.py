@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from multilica.acceptance.placement import have_moved, held_by_movable, place
+from multilica.acceptance.placement import are_contradicted, held_by_movable, place
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.fixed_pair import without_movable
@@ -161,7 +161,7 @@ def test_without_fixed_points_no_direction_is_held():
 def test_objects_moved_if_fixed_ones_contradict_a_pose(off_m, expected):
     covariances = {name: np.diag(np.repeat([1e-3, 0.01], 3) ** 2) for name in "ab"}
     offsets = {"a": np.zeros(6), "b": np.array([0.0, 0.0, 0.0, off_m, 0.0, 0.0])}
-    assert have_moved(offsets, covariances) is expected
+    assert are_contradicted(offsets, covariances) is expected
 
 
 def test_without_movable_objects_nothing_changes():
