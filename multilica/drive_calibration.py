@@ -25,6 +25,7 @@ from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
+from multilica.registration.widening import loosened
 from multilica.results import CalibrationResult, LidarPlacement, TimeLimit, ViewPair
 from multilica.results.registrations import weakest_deviations
 from multilica.snapshot import LidarMotion, ReadMotions, Snapshot
@@ -32,6 +33,10 @@ from multilica.workers import Workers
 
 CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], SnapshotRun]
 """Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None, and the earlier stops."""
+
+
+# Few surfaces hold a link with little evidence, and some of its matches are by chance: it is up to 6 sigma off.
+_WEAKER = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,11 +146,12 @@ def ways_of(snapshots: Mapping[str, Snapshot]) -> dict[str, ReadMotions]:
 
 
 def _confirmed(stops: Sequence[DriveStop], found: FoundLinks, result: CalibrationResult) -> list[ViewPair]:
-    """Return the weak links that count, if LiDARs are not placed without them."""
+    """Return the weak links that count, if LiDARs are not placed without them, less certain than they say."""
     if not found.weak or all(each.placed for each in result.placements):
         return []
     within = [ViewPair(pair, stop.name, stop.name) for stop in stops for pair in stop.pairs]
-    return confirmed_links(result.target, within, found.links, found.weak)
+    confirmed = confirmed_links(result.target, within, found.links, found.weak)
+    return [replace(link, registration=loosened(link.registration, _WEAKER)) for link in confirmed]
 
 
 def _is_open(placement: LidarPlacement) -> bool:

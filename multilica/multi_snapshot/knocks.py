@@ -18,6 +18,8 @@ _PROBABILITY = 1e-5
 _FREEDOM = 6
 # A smaller motion cannot be told from systematic errors, rad and m.
 _LEAST_RAD, _LEAST_M = float(np.deg2rad(0.1)), 0.005
+# A LiDAR that seems to move farther on its vehicle did not: the place looks like another one.
+_MOST_RAD, _MOST_M = float(np.deg2rad(30.0)), 0.5
 _AFTER = "\0after"
 
 
@@ -52,13 +54,19 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
                 continue
             poses = [apart.poses.poses[name] for name in (lidar, lidar + _AFTER)]
             distance_m, angle_rad = poses[0].distance_to(RigidTransform(root, lidar, poses[1].matrix))
-            if explained < _LEAST_CHI_SQUARED or (distance_m < _LEAST_M and angle_rad < _LEAST_RAD):
+            if explained < _LEAST_CHI_SQUARED or not _may_be_knock(distance_m, angle_rad):
                 continue
             earlier = {*stops} - later
             left_out = tuple(sorted(earlier if len(earlier) <= len(later) else later))
             knock = Knock(lidar, stops[number - 1], after, distance_m, float(np.rad2deg(angle_rad)), left_out)
             found.append((explained, lidar != root, knock))
     return max(found, key=lambda each: (round(each[0], 3), each[1]))[2] if found else None
+
+
+def _may_be_knock(distance_m: float, angle_rad: float) -> bool:
+    """Return whether a motion is too large for an error and too small for another place."""
+    is_error = distance_m < _LEAST_M and angle_rad < _LEAST_RAD
+    return not is_error and distance_m < _MOST_M and angle_rad < _MOST_RAD
 
 
 def _renamed(pair: ViewPair, lidar: str, later: set[str]) -> ViewPair:

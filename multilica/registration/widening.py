@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from multilica.geometry import LEVER_ARM_M, FloatArray
-from multilica.results import BiasInformation
+from multilica.results import BiasInformation, PairRegistration
 
 
 def widened(information: FloatArray, direction: FloatArray, off_m: float) -> FloatArray:
@@ -31,3 +31,17 @@ def widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: fl
     kept = np.eye(len(information)) - np.outer(pulled, step)
     after = found.with_spreads_changed(kept)
     return replace(after, information=information, spread=after.spread + np.outer(pulled, pulled))
+
+
+def loosened(pair: PairRegistration, factor: float) -> PairRegistration:
+    """Return a registration whose pose and biases have standard deviations that are larger by a factor."""
+    if pair.information is None:
+        return pair
+    share, found = factor**-2.0, pair.bias_information
+    if found is not None:
+        found = replace(
+            found.with_spreads_changed(np.sqrt(share) * np.eye(len(found.gradient))),
+            information=share * found.information,
+            gradient=share * found.gradient,
+        )
+    return replace(pair, information=share * pair.information, bias_information=found)

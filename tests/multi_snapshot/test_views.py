@@ -9,7 +9,9 @@ import pytest
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.knocks import find_knock
 from multilica.multi_snapshot.trusted_links import refine_linked
+from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import DriveView, LinkedStops
@@ -226,9 +228,9 @@ def test_beams_of_another_stop_refuse_what_one_stop_tells():
 _EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"
 
 
-def _knocked(every, lidar, later):
-    """Move a LiDAR by 2 cm at some stops."""
-    off = RigidTransform.from_xyz_rpy(lidar, lidar, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
+def _knocked(every, lidar, later, by_m=0.02):
+    """Move a LiDAR at some stops."""
+    off = RigidTransform.from_xyz_rpy(lidar, lidar, (by_m, 0.0, 0.0), (0.0, 0.0, 0.0))
     for each in every:
         pose = each.registration.T_target_source
         if each.source.lidar == lidar and each.source_stop in later:
@@ -245,6 +247,13 @@ def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
     (knock,) = _refined(every).knocks
     assert (knock.lidar, knock.before, knock.after, knock.left_out) == (lidar, "stop 3", "stop 4", ("stop 4",))
     assert knock.distance_m == pytest.approx(0.02, abs=0.008)
+
+
+@pytest.mark.parametrize(("by_m", "is_knock"), [(0.4, True), (0.6, False)])
+def test_a_lidar_that_moved_too_far_was_not_knocked(by_m, is_knock):
+    every = list(_knocked(pairs(_EVERY, np.random.default_rng(10)), "B", {"stop 4"}, by_m))
+    found = find_knock("A", solve_views("A", every), [f"stop {number}" for number in range(1, 5)])
+    assert (found is not None) == is_knock
 
 
 @pytest.mark.parametrize("seed", range(20, 24))

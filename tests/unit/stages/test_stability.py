@@ -9,9 +9,11 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.sensor_biases import prior_sigmas
-from multilica.registration.widening import widened
+from multilica.registration.widening import loosened, widened
+from multilica.results import BiasInformation
 from multilica.results.registrations import weakest_sigmas
 from multilica.stages.fine import check_stability, perturbed_ends
+from tests.unit.made_pairs import pair
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()
@@ -103,3 +105,18 @@ def test_a_push_leaves_what_is_known_of_biases():
     after = np.linalg.inv(widened(root @ root.T, _direction(4), 0.05))
     assert np.allclose(after[6:], before[6:], rtol=1e-6)
     assert np.isclose(after[4, 4], before[4, 4] + 0.05**2)
+
+
+def test_a_loosened_registration_has_larger_sigmas():
+    rng = np.random.default_rng(2)
+    found, spread = (root @ root.T for root in rng.normal(size=(2, 14, 14)))
+    biases = BiasInformation(found, rng.normal(size=14), spread, 0.5 * spread, np.zeros(8))
+    before = replace(pair(_TRUTH), information=np.linalg.inv(found)[:6, :6], bias_information=biases)
+    after = loosened(before, 3.0)
+    assert np.allclose(9.0 * after.information, before.information)
+    bread = [np.linalg.inv(each.bias_information.information) for each in (before, after)]
+    sandwiches = [one @ each.bias_information.spread @ one for one, each in zip(bread, (before, after), strict=True)]
+    assert np.allclose(sandwiches[1], 9.0 * sandwiches[0])
+    steps = [one @ each.bias_information.gradient for one, each in zip(bread, (before, after), strict=True)]
+    assert np.allclose(*steps)
+    assert loosened(replace(before, information=None), 3.0).information is None
