@@ -118,12 +118,12 @@ class Knock:
     """A LiDAR that moved on the vehicle between two stops."""
 
     lidar: Annotated[str, Field(description="Name of the LiDAR.")]
-    before: Annotated[str, Field(description="The last stop before it moved.")]
-    after: Annotated[str, Field(description="The first stop after it moved.")]
+    before: Annotated[str, Field(description="The last stop that is surely before it moved.")]
+    after: Annotated[str, Field(description="The first stop that is surely after it.")]
     distance_m: Annotated[float, Field(description="Distance by which it moved.")]
     angle_deg: Annotated[float, Field(description="Angle by which it turned.")]
     left_out: Annotated[
-        tuple[str, ...], Field(description="Stops on one side of the knock that do not count for its pose.")
+        tuple[str, ...], Field(description="Stops on one side of the knock, and between, that do not count for its pose.")
     ]
 
     @property

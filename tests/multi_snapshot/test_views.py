@@ -249,6 +249,14 @@ def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
     assert knock.distance_m == pytest.approx(0.02, abs=0.008)
 
 
+def test_a_knock_about_a_stop_without_views_is_dated_around_it():
+    every = pairs(_EVERY, np.random.default_rng(10))
+    seen = [each for each in every if DriveView("C", "stop 3") not in each.views]
+    (knock,) = _refined(list(_knocked(seen, "C", {"stop 4"}))).knocks
+    assert (knock.lidar, knock.before, knock.after) == ("C", "stop 2", "stop 4")
+    assert knock.left_out == ("stop 3", "stop 4")
+
+
 @pytest.mark.parametrize(("by_m", "is_knock"), [(0.4, True), (0.6, False)])
 def test_a_lidar_that_moved_too_far_was_not_knocked(by_m, is_knock):
     every = list(_knocked(pairs(_EVERY, np.random.default_rng(10)), "B", {"stop 4"}, by_m))
