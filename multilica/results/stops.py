@@ -123,7 +123,7 @@ class Knock:
     distance_m: Annotated[float, Field(description="Distance by which it moved.")]
     angle_deg: Annotated[float, Field(description="Angle by which it turned.")]
     left_out: Annotated[
-        tuple[str, ...], Field(description="Stops on one side of the knock, and between, that do not count for its pose.")
+        tuple[str, ...], Field(description="Stops on one side of it, and between, that do not count for its pose.")
     ]
 
     @property
