@@ -35,7 +35,7 @@ CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], Snaps
 """Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None, and the earlier stops."""
 
 
-# Few surfaces hold a link with little evidence, and some of its matches are by chance: it is up to 6 sigma off.
+# Few surfaces hold a link with little evidence, and some of its matches are by chance: one was 6 sigma off.
 _WEAKER = 2.0
 
 

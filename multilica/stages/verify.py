@@ -36,8 +36,8 @@ _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
 # Slid poses as near as this are always tested; farther ones as long as none competes with the best.
 _NEAR_SLIDE_M = 6.0
-# Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. In streets, yards and
-# halls this share is 0.2 to 1.
+# Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. Most pairs in streets,
+# yards and halls have a share of 0.2 to 1.
 _LONG_PLACE = 0.1
 # Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
 _EARLY_STOP_POSES = 6
