@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from math import log, log1p
+from math import inf, log, log1p
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,9 @@ never decide between two poses."""
 
 FEW_POINTS = 10
 """Prior count of agreeing structure points, so that a few hidden points in an open field change little."""
+
+# Evidence beside another pose is rounded twice.
+_ROUNDING = 2e-6
 
 
 class BeamLabel(IntEnum):
@@ -148,6 +151,17 @@ class VisibilityScore:
         """Return the evidence, with points in empty space counted against another pose: see `contradiction_against`."""
         excess = self.contradiction_against(best) - (self.contradiction - best.contradiction)
         return round(self.evidence(distance_m) - excess, 6) + 0.0
+
+    def most_beside(self, best: "VisibilityScore", distance_m: float, further: int) -> float:
+        """Return what `evidence_beside` is at most after this many further points are labelled, which follow these."""
+        known = len(self.violating)
+        if len(best.violating) != known + further:
+            return inf
+        shared = np.count_nonzero(self.violating & best.violating[:known])
+        own = np.count_nonzero(self.violating) - shared + MOVED_POINTS
+        of_best = np.count_nonzero(best.violating) - shared + MOVED_POINTS
+        against = self.against_distance(distance_m) + best.contradiction + VIOLATION_WEIGHT * log(own / of_best)
+        return PRIOR_LOG_ODDS + DISTINCTIVE_WEIGHT * log1p(self.agree + further) - against + _ROUNDING
 
     @property
     def min_information_eigenvalue(self) -> float:

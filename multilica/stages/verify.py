@@ -23,7 +23,7 @@ from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     ROUGH_TOLERANCES,
     SensorView,
-    score_pose,
+    may_compete,
     score_registration,
     score_visibility,
 )
@@ -155,9 +155,9 @@ def _with_competing(
     pose = hypothesis.T_target_source
     if not is_distinct(pose, (other.T_target_source for other in found)):
         return found
-    rough = score_pose(target.view, source.view, pose, *COMPETING_TOLERANCES)
     best = _ranked(found, config)[0]
-    if rough.evidence_beside(best) <= min_competing_evidence(best.evidence, config.acceptance):
+    least = min_competing_evidence(best.evidence, config.acceptance)
+    if not may_compete(target.view, source.view, pose, best, least, *COMPETING_TOLERANCES):
         return found
     return _joined(found, _register(target, source, hypothesis, gicp))
 

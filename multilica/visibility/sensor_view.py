@@ -110,6 +110,7 @@ def score_visibility(
     T_target_source: RigidTransform,
     tolerance_m: float,
     tolerance_deg: float,
+    first: LabelArray | None = None,
 ) -> VisibilityScore:
     """Label the probes of each side by the beams of the other, over all pairs of members.
 
@@ -117,6 +118,7 @@ def score_visibility(
         targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
         T_target_source: the pose to score, between the two roots.
         tolerance_m, tolerance_deg: see `label_points`.
+        first: labels of the first source by the first target, if they are known.
 
     Returns:
         Counts over both directions, with the labels between the first target and the first source.
@@ -127,7 +129,8 @@ def score_visibility(
         for T_source_member, source in sources:
             T_target_placed = T_target_source @ T_source_member
             pose = T_target_member.inverse() @ T_target_placed
-            forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
+            known = first if shown is None else None
+            forth = _labels(target, source, pose, tolerance_m, tolerance_deg) if known is None else known
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
             labelled.append(_Labelled(source, forth, T_target_placed))
             labelled.append(_Labelled(target, back, T_target_member))
@@ -187,6 +190,38 @@ def score_pose(
     return Registration(
         -1, T_target_source, score, unknown, unknown, unknown, source.probes_m, target_probes_m=target.probes_m
     )
+
+
+def may_compete(
+    target: SensorView,
+    source: SensorView,
+    T_target_source: RigidTransform,
+    best: Registration,
+    least: float,
+    tolerance_m: float,
+    tolerance_deg: float,
+) -> bool:
+    """Return whether a pose has more than the least evidence beside the best one of the pair.
+
+    For most poses, the beams of one LiDAR are enough to tell that it has not.
+    """
+    distance_m = float(np.linalg.norm(T_target_source.xyz_m))
+    labels = _labels(target, source, T_target_source, tolerance_m, tolerance_deg)
+    counts = _counts(labels)
+    of_one = VisibilityScore(
+        agree=counts[BeamLabel.AGREE],
+        violate=counts[BeamLabel.VIOLATE],
+        occluded=counts[BeamLabel.OCCLUDED],
+        unseen=counts[BeamLabel.UNSEEN],
+        information=np.zeros((6, 6)),
+        labels=labels,
+        violating=labels == BeamLabel.VIOLATE,
+        between_stops=target.at_stop or source.at_stop,
+    )
+    if of_one.most_beside(best.visibility, distance_m, len(target.probes_m)) <= least:
+        return False
+    of_both = score_visibility(target.alone, source.alone, T_target_source, tolerance_m, tolerance_deg, labels)
+    return of_both.evidence_beside(best.visibility, distance_m) > least
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
+from xml.etree import ElementTree as ET
 
 import tomli_w
 
@@ -116,17 +116,17 @@ def number_list(values: Sequence[float]) -> str:
 
 def urdf_text(extrinsics: Extrinsics) -> str:
     """Return a URDF file with a fixed joint per frame."""
-    poses = child_poses(extrinsics)
-    links = (f"  <link name={quoteattr(name)}/>\n" for name in (extrinsics.target, *(pose.source for pose in poses)))
-    joints = (
-        f'  <joint name={quoteattr(f"{pose.source}_joint")} type="fixed">\n'
-        f"    <parent link={quoteattr(pose.target)}/>\n"
-        f"    <child link={quoteattr(pose.source)}/>\n"
-        f'    <origin xyz="{number_list(pose.xyz_m.tolist())}" rpy="{number_list(pose.rpy_rad.tolist())}"/>\n'
-        "  </joint>\n"
-        for pose in poses
-    )
-    return f'<?xml version="1.0"?>\n<robot name="lidars">\n{"".join(links)}{"".join(joints)}</robot>\n'
+    poses, robot = child_poses(extrinsics), ET.Element("robot", name="lidars")
+    for name in (extrinsics.target, *(pose.source for pose in poses)):
+        ET.SubElement(robot, "link", name=name)
+    for pose in poses:
+        joint = ET.SubElement(robot, "joint", name=f"{pose.source}_joint", type="fixed")
+        ET.SubElement(joint, "parent", link=pose.target)
+        ET.SubElement(joint, "child", link=pose.source)
+        xyz, rpy = (number_list(values.tolist()) for values in (pose.xyz_m, pose.rpy_rad))
+        ET.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    ET.indent(robot)
+    return f'<?xml version="1.0"?>\n{ET.tostring(robot, "unicode")}\n'
 
 
 def matrix_text(extrinsics: Extrinsics) -> str:

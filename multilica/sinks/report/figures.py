@@ -176,12 +176,10 @@ def _blend(view: View, layers: Sequence[Layer]) -> npt.NDArray[np.uint8]:
     hit = np.flatnonzero(total > 0)
     places, total = np.empty_like(total), total[hit]
     places[hit] = np.arange(len(hit))
-    counts = [np.bincount(places[each], minlength=len(hit)).astype(np.float64) for each in cells]
+    counts = [np.bincount(places[each], minlength=len(hit)) for each in cells]
     opacity = 1.0 - (1.0 - _OPACITY_OF_A_POINT) ** np.arange(total.max(initial=0) + 1)
-    lights = (
-        np.outer(count, layer.strength * np.array(layer.colour)) for count, layer in zip(counts, layers, strict=True)
-    )
-    mean = sum(lights, np.zeros((len(hit), 3))) / total[:, None]
+    lights = np.array([layer.strength * np.array(layer.colour) for layer in layers]).reshape(len(layers), 3)
+    mean = np.array(counts, dtype=np.float64).reshape(len(layers), len(hit)).T @ lights / total[:, None]
     pixels = np.full((width * height, 3), GROUND_COLOUR, dtype=np.uint8)
     pixels[hit] = np.rint(GROUND_COLOUR + opacity[total][:, None] * (mean - GROUND_COLOUR))
     return pixels.reshape(height, width, 3)

@@ -47,9 +47,9 @@ def test_poses_are_in_the_base_frame_that_an_export_takes():
     document = with_values(contents, ground=on_rig).document
     texts = {one.label: one.text for one in extrinsics_texts(document)}
     assert texts == expected_texts(document)
-    assert '<parent link="base"/>' in texts["URDF"]
+    assert '<parent link="base" />' in texts["URDF"]
     doubted = with_values(contents, ground=on_rig | {"doubt": "too little ground"}).document
-    assert '<parent link="top"/>' in {one.label: one.text for one in extrinsics_texts(doubted)}["URDF"]
+    assert '<parent link="top" />' in {one.label: one.text for one in extrinsics_texts(doubted)}["URDF"]
 
 
 def test_without_a_placed_lidar_there_is_nothing_to_copy():

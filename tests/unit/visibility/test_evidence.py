@@ -6,6 +6,8 @@ from math import log
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from multilica.config import AcceptanceConfig
 from multilica.results import Registration
@@ -135,6 +137,21 @@ def test_one_person_who_moved_does_not_decide_between_two_poses():
 def test_the_evidence_beside_itself_is_the_evidence():
     score = _violating(*range(9))
     assert score.evidence_beside(score, 2.0) == score.evidence(2.0)
+
+
+@given(st.lists(st.integers(0, 3), min_size=20, max_size=20), st.integers(0, 20), st.floats(0.0, 12.0))
+def test_half_of_the_labels_bound_the_evidence(kinds, known, distance_m):
+    """Of 20 points, some are in empty space at one pose, some at the other, some at both; all others agree."""
+    kind = np.array(kinds)
+    best, other = (
+        replace(_score(np.count_nonzero(bad == 0), 0.0, np.count_nonzero(bad)), violating=bad > 0)
+        for bad in (kind & 1, kind & 2)
+    )
+    labelled = kind[:known] & 2
+    violate = np.count_nonzero(labelled)
+    part = replace(_score(known - violate, 0.0, violate), violating=labelled > 0)
+    assert part.most_beside(best, distance_m, 20 - known) >= other.evidence_beside(best, distance_m)
+    assert part.most_beside(best, distance_m, 21 - known) == np.inf
 
 
 @pytest.mark.parametrize("other", [_score(violate=5), replace(_score(violate=5), violating=np.ones(5, dtype=bool))])

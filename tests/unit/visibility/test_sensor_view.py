@@ -9,7 +9,13 @@ from scipy.spatial import cKDTree
 from multilica.config import AcceptanceConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.results import BeamLabel, PreprocessedCloud
-from multilica.visibility.sensor_view import FINE_TOLERANCES, prepare_sensor_view, score_pose, score_visibility
+from multilica.visibility.sensor_view import (
+    FINE_TOLERANCES,
+    may_compete,
+    prepare_sensor_view,
+    score_pose,
+    score_visibility,
+)
 from tests.unit.made_rooms import HALL, Face, Foliage, box, scan
 
 _LIMITS = AcceptanceConfig()
@@ -65,6 +71,16 @@ def test_swapping_the_sides_changes_no_count(target, source):
     for count in ("agree", "violate", "occluded", "unseen"):
         assert getattr(forth, count) == getattr(back, count)
     assert forth.min_information_eigenvalue == pytest.approx(back.min_information_eigenvalue, rel=0.25)
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.1, 0.4, 3.0])
+@pytest.mark.parametrize("margin", [1e-3, -1e-3])
+def test_a_pose_competes_if_its_evidence_is_enough(target, source, shift_m, margin):
+    shifted = RigidTransform.from_xyz_rpy("t", "t", (shift_m, 0.0, 0.0), (0, 0, 0)) @ _TRUTH
+    best = score_pose(target, source, _TRUTH, *FINE_TOLERANCES)
+    least = score_pose(target, source, shifted, *FINE_TOLERANCES).evidence_beside(best) - margin
+    assert may_compete(target, source, shifted, best, least, *FINE_TOLERANCES) == (margin > 0)
+    assert not may_compete(target, source, shifted, best, least + 100.0, *FINE_TOLERANCES)
 
 
 def test_a_wall_near_a_dense_sensor_is_solid_despite_noise():
