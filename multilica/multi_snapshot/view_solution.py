@@ -71,9 +71,7 @@ class ViewSolution:
         if link not in self.pairs:
             return False
         jacobian, columns = self.poses.jacobian(link)
-        information = self.information.copy()
-        own = np.asarray(link.registration.information)
-        information[np.ix_(columns, columns)] -= jacobian.T @ own @ jacobian
+        _, information, _ = _equations(self.poses, [pair for pair in self.pairs if pair is not link])
         inverse = np.linalg.inv(information + _prior(len(information)))
         scale = np.repeat([LEVER_ARM_M, 1.0], 3)
         covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)

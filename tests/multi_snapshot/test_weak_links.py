@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links with too little evidence count where others confirm them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,10 @@ def test_a_link_of_a_lidar_without_a_pose_is_not_confirmed():
     sure, (link,) = _links(_SURE), _links("A1-B3", 1)
     assert not solve_views("A", sure).is_confirmed(link)
     assert solve_views("A", sure).is_confirmed(sure[0])
+
+
+def test_contradiction_along_one_direction_confirms_nothing():
+    """A second link tells one coordinate only, and another one than the first does."""
+    link, other = pair("A1", "A2"), pair("A1", "A2", off=[0.0, 0.0, 0.0, 0.1, 0.0, 0.0])
+    along_x = replace(other.registration, information=np.diag([0.0, 0.0, 0.0, 1e6, 0.0, 0.0]))
+    assert not solve_views("A", [link, replace(other, registration=along_x)]).is_confirmed(link)
