@@ -161,6 +161,14 @@ def test_far_repetitions_do_not_crowd_out_those_on_the_vehicle():
     assert {round((each.T_target_source.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in found} >= {-1, 1}
 
 
+def test_the_opposite_of_a_shift_off_the_vehicle_counts():
+    """The row goes on ahead only: after a shift to the rear, a third of what the source sees has no counterpart."""
+    seen = np.arange(-_PERIOD_M, 1.5 * _PERIOD_M, _PERIOD_M)
+    ahead = _row(np.arange(-_PERIOD_M, 61.0, _PERIOD_M), height_m=3.0)
+    found = _repeated(ahead, max_baseline_m=_PERIOD_M, seen_m=_row(seen, height_m=3.0))
+    assert [round((each.T_target_source.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in found] == [-1]
+
+
 def test_single_things_do_not_repeat():
     posts = [_row([-22.0, -9.0, 12.5], sides_m=[-5.0]), _row([-3.0, 8.0, 29.0], sides_m=[4.0])]
     assert _repeated(np.concatenate(posts)) == []
