@@ -26,7 +26,7 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
-from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses
+from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,
@@ -190,8 +190,24 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
             hypotheses = tuple(each.as_hypothesis(found.verified[0]) for each in found.verified)
         if hypotheses:
             found.registration = register_sides(target.side, source.side, hypotheses, config)
+        if found.verified is not None and found.registration is not None:
+            _beside_far_poses(found, target, source)
         finish("fine")
     return found
+
+
+def _beside_far_poses(search: PairSearch, target: PreparedLidar, source: PreparedLidar) -> None:
+    """Register a pose that counts once more, beside those far along its weakest direction that may compete with it."""
+    registration, config = search.registration, target.config
+    if registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
+        return
+    further = find_far_poses(target.verification_cloud, source.verification_cloud, registration, config)
+    if further:
+        best, name = registration.registrations[0], target.side.cloud.name
+        poses = [each.as_hypothesis(best) for each in (best, *further)]
+        poses = [replace(each, T_target_source=each.T_target_source.with_target(name)) for each in poses]
+        search.registration = register_sides(target.side, source.side, poses, config)
+        search.verified = (*(search.verified or ()), *further)
 
 
 def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:

@@ -9,7 +9,6 @@ import numpy as np
 
 from multilica.acceptance.accept import (
     cannot_be_accepted,
-    is_surely_ambiguous,
     is_well_constrained,
     min_competing_evidence,
 )
@@ -17,7 +16,7 @@ from multilica.config import CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
 from multilica.registration.poses import SLIDE_STEP_M, is_distinct, slid_hypotheses, within_baseline
-from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
+from multilica.results import PRIOR, CoarseResult, Hypothesis, PairRegistration, Registration
 from multilica.visibility.plans import alike_hypotheses
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
@@ -34,7 +33,7 @@ _COARSE_TOLERANCE_DEG = 1.0
 # Before the short GICP, true poses had at least 1 more than the limit, and none won that was 10 behind the best.
 _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
-# Slid poses as near as this are always tested; farther ones as long as none competes with the best.
+# Slid poses as near as this are always tested; farther ones of a pose that would be accepted.
 _NEAR_SLIDE_M = 6.0
 # Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. Most pairs in streets,
 # yards and halls have a share of 0.2 to 1.
@@ -108,11 +107,29 @@ def verify_hypotheses(
         return ()
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         found = _with_competing(target, source, found, hypothesis, settings, config)
-    for hypothesis in _far_slides(found, config):
-        if is_surely_ambiguous(_ranked(found, config), config.acceptance):
-            break
-        found = _with_competing(target, source, found, hypothesis, gicp, config)
     return tuple(_ranked(found, config))
+
+
+def find_far_poses(
+    target: VerificationCloud, source: VerificationCloud, registered: PairRegistration, config: CalibrationConfig
+) -> list[Registration]:
+    """Find poses far along the weakest direction of a registered one that may compete with it.
+
+    Posts of a rail and niches of a tunnel repeat after any number of periods. Only a pose that would be accepted is
+    worth this: along a bare wall every other pose fits as well.
+
+    Args:
+        registered: of these two LiDARs, in either order; so are the poses.
+    """
+    if registered.target != target.view.lidar:
+        target, source = source, target
+    best, *others = registered.registrations
+    score = score_visibility(target.view.alone, source.view.alone, best.T_target_source, *ROUGH_TOLERANCES)
+    known = [replace(best, visibility=score), *others]
+    found = known
+    for hypothesis in _far_slides(known[0], config):
+        found = _with_competing(target, source, found, hypothesis, short_gicp(config.fine), config)
+    return [each for each in _ranked(found, config) if all(each is not other for other in known)]
 
 
 def _registered_in_turn(
@@ -240,14 +257,8 @@ def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> li
     return slid_hypotheses(_start_of(best), direction, max_baseline_m, steps)
 
 
-def _far_slides(found: Sequence[Registration], config: CalibrationConfig) -> list[Hypothesis]:
-    """Return farther slid poses, as the largest baseline allows: posts of a rail repeat after any number of periods.
-
-    The nearer ones come first.
-    """
-    best = next(iter(_ranked(found, config)), None)
-    if best is None or cannot_be_accepted(best.evidence, config.acceptance):
-        return []
+def _far_slides(best: Registration, config: CalibrationConfig) -> list[Hypothesis]:
+    """Return the slid poses beyond the near ones, as far as the largest baseline allows, the nearer ones first."""
     slides = _slides(best, 2.0 * config.acceptance.max_baseline_m, config)
     return [each for each in slides if best.T_target_source.distance_to(each.T_target_source)[0] > _NEAR_SLIDE_M + 0.5]
 

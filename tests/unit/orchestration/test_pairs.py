@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All stages of a pair in one task, as far as they are asked for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from multilica.orchestration.pairs import (
     score_implied,
     search_pair,
 )
-from multilica.results import PRIOR, Hypothesis
+from multilica.results import PRIOR, Hypothesis, Verdict
 from tests.unit.made_rooms import HALL, scan
 
 _CONFIG = CalibrationConfig()
@@ -86,6 +88,39 @@ def test_a_search_again_ends_where_nothing_can_be_accepted(lidars, monkeypatch):
     monkeypatch.setattr(pairs, "may_be_accepted", lambda *_: False)
     assert _search(lidars, refused=()).registration is None
     assert _search(lidars).registration is not None
+
+
+def test_a_pose_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
+    """A made one, as likely as the pose itself, makes that undecided."""
+    asked = []
+
+    def found_far(_target, _source, registered, _config):
+        asked.append(registered)
+        (best, *_) = registered.registrations
+        frame = best.T_target_source.target
+        far = RigidTransform.from_xyz_rpy(frame, frame, (9, 0, 0), (0, 0, 0))
+        return [replace(best, T_target_source=far @ best.T_target_source)]
+
+    plain = _search(lidars)
+    monkeypatch.setattr(pairs, "find_far_poses", found_far)
+    registered = []
+    monkeypatch.setattr(pairs, "register_sides", _recording(pairs.register_sides, registered))
+    found = _search(lidars)
+    assert [each.target for each in asked] == [plain.registration.target]
+    starts = [[each.T_target_source.target for each in hypotheses] for hypotheses in registered]
+    assert starts[-1] == ["t", "t"]
+    assert len(found.verified) == len(plain.verified) + 1
+    monkeypatch.setattr(pairs, "accept", lambda *_: Verdict("undecided"))
+    assert _search(lidars).registration.verdict.outcome == "undecided"
+    assert len(asked) == 1
+
+
+def _recording(register, registered):
+    def one(target, source, hypotheses, config, **options):
+        registered.append(hypotheses)
+        return register(target, source, hypotheses, config, **options)
+
+    return one
 
 
 def test_an_implied_pose_is_scored_and_registered_from_there(lidars):

@@ -5,13 +5,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.accept import competing_poses, is_surely_ambiguous
+from multilica.acceptance.accept import competing_poses
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
-from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses
+from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -47,14 +47,12 @@ def hall():
     return _prepared(HALL)
 
 
-def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=False, refused=None, **changed):
-    """Verify without symmetric and repeated poses and far slides, and with constants of the stage changed."""
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, refused=None, **changed):
+    """Verify without symmetric and repeated poses, and with constants of the stage changed."""
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("multilica.visibility.plans._MAX_REPEATED", max_repeated)
-        if not far:
-            patch.setattr(verify, "_far_slides", lambda *_: [])
         for name, value in ({"max_symmetric_poses": 0} | changed).items():
             patch.setattr(verify, f"_{name.upper()}", value)
         config = CalibrationConfig(acceptance=limits)
@@ -221,30 +219,32 @@ def test_a_pose_among_equal_pillars_has_competing_poses(aisle):
         assert along_m / 3.0 == pytest.approx(round(along_m / 3.0), abs=0.1)
 
 
+def _far(lidars, *, swapped=False, limits=_LIMITS):
+    target, source = reversed(lidars) if swapped else lidars
+    (best,) = _verified([target, source], _TRUTH.inverse() if swapped else _TRUTH, limits=limits, near_slide_m=0.0)
+    registered = register_narrower(target.cloud, source.cloud, best.T_target_source, _GICP)
+    registered = replace(registered, target=target.view.lidar, source=source.view.lidar, registrations=(best,))
+    return best, find_far_poses(*lidars, registered, CalibrationConfig(acceptance=limits))
+
+
 @pytest.mark.slow
-def test_far_slides_are_tested_until_one_surely_competes(aisle):
-    found = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)
-    slid = [each for each in found if each.derivation]
-    assert {each.derivation[:8] for each in slid} == {"slid by "}
-    last = max(slid, key=_when_slid)
-    assert is_surely_ambiguous(found, _LIMITS)
-    assert not is_surely_ambiguous([each for each in found if each is not last], _LIMITS)
-    (alone,) = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0)
-    assert alone.evidence in {each.evidence for each in found}
-
-
-def _when_slid(found):
-    """Order slides as they are tested: the nearer first, backwards before forwards."""
-    metres = float(found.derivation.split()[2])
-    return abs(metres), metres
+@pytest.mark.parametrize("swapped", [False, True], ids=["as matched", "in the other order"])
+def test_far_poses_repeat_after_any_number_of_periods(aisle, swapped):
+    best, found = _far(aisle, swapped=swapped, limits=_NEVER_FIRM)
+    far_m = np.array([each.T_target_source.distance_to(best.T_target_source)[0] for each in found])
+    assert len(found) >= 4
+    assert far_m.min() > 4.0
+    assert far_m.max() > 9.0
+    assert {(each.T_target_source.target, each.derivation[:8]) for each in found} == {("ts"[swapped], "slid by ")}
+    whole = far_m[np.abs(far_m / 3.0 - np.rint(far_m / 3.0)) < 0.05]
+    assert len({*np.rint(whole / 3.0)}) >= 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("long_place", "slid"), [(0.0, False), (1.0, True)])
 def test_well_constrained_poses_are_slid_in_long_places(aisle, monkeypatch, long_place, slid):
     monkeypatch.setattr(verify, "_LONG_PLACE", long_place)
-    firm = _LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0})
-    found = _verified(aisle, _near(_TRUTH), limits=firm, near_slide_m=0.0, far=True)
+    _, found = _far(aisle, limits=_LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0}))
     assert any(each.derivation.startswith("slid by ") for each in found) == slid
 
 
