@@ -77,6 +77,12 @@ def may_be_accepted(roughly: Sequence[Registration], config: AcceptanceConfig) -
     return all(best.lead_over(other) >= config.min_log_odds_margin - 2.0 * _ROUGH_MARGIN for other in elsewhere)
 
 
+def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfig) -> bool:
+    """Return whether another roughly registered pose will compete with the first after the fine registration too."""
+    best, *others = roughly
+    return any(best.lead_over(other) < config.min_log_odds_margin - _ROUGH_MARGIN for other in others)
+
+
 def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> float:
     """Return the evidence below which a roughly registered pose will not compete with the best."""
     return (

@@ -190,16 +190,16 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
             hypotheses = tuple(each.as_hypothesis(found.verified[0]) for each in found.verified)
         if hypotheses:
             found.registration = register_sides(target.side, source.side, hypotheses, config)
-        if found.verified is not None and found.registration is not None:
+        if target.view is not None and target.view.at_stop:
             _beside_far_poses(found, target, source)
         finish("fine")
     return found
 
 
 def _beside_far_poses(search: PairSearch, target: PreparedLidar, source: PreparedLidar) -> None:
-    """Register a pose that counts once more, beside those far along its weakest direction that may compete with it."""
+    """Register a link that counts once more, beside poses far along its weakest direction that may compete with it."""
     registration, config = search.registration, target.config
-    if registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
+    if search.verified is None or registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
         return
     further = find_far_poses(target.verification_cloud, source.verification_cloud, registration, config)
     if further:

@@ -9,6 +9,7 @@ import numpy as np
 
 from multilica.acceptance.accept import (
     cannot_be_accepted,
+    is_surely_ambiguous,
     is_well_constrained,
     min_competing_evidence,
 )
@@ -33,7 +34,7 @@ _COARSE_TOLERANCE_DEG = 1.0
 # Before the short GICP, true poses had at least 1 more than the limit, and none won that was 10 behind the best.
 _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
-# Slid poses as near as this are always tested; farther ones of a pose that would be accepted.
+# Slid poses as near as this are always tested; farther ones as long as none competes with the best.
 _NEAR_SLIDE_M = 6.0
 # Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. Most pairs in streets,
 # yards and halls have a share of 0.2 to 1.
@@ -107,16 +108,24 @@ def verify_hypotheses(
         return ()
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         found = _with_competing(target, source, found, hypothesis, settings, config)
+    best = next(iter(_ranked(found, config)), None)
+    if best is None or cannot_be_accepted(best.evidence, config.acceptance) or target.view.at_stop:
+        return tuple(_ranked(found, config))
+    for hypothesis in _far_slides(best, config):
+        if is_surely_ambiguous(_ranked(found, config), config.acceptance):
+            break
+        found = _with_competing(target, source, found, hypothesis, gicp, config)
     return tuple(_ranked(found, config))
 
 
 def find_far_poses(
     target: VerificationCloud, source: VerificationCloud, registered: PairRegistration, config: CalibrationConfig
 ) -> list[Registration]:
-    """Find poses far along the weakest direction of a registered one that may compete with it.
+    """Find poses between stops far along the weakest direction of a registered one that may compete with it.
 
-    Posts of a rail and niches of a tunnel repeat after any number of periods. Only a pose that would be accepted is
-    worth this: along a bare wall every other pose fits as well.
+    Posts of a rail and niches of a tunnel repeat after any number of periods. On a vehicle, the nearest pose that fits
+    is the likeliest by far. Between stops no distance is likelier than another, so all of them count. Only a pose that
+    would be accepted is worth this: along a bare wall every other pose fits as well.
 
     Args:
         registered: of these two LiDARs, in either order; so are the poses.

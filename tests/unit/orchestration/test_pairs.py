@@ -90,7 +90,7 @@ def test_a_search_again_ends_where_nothing_can_be_accepted(lidars, monkeypatch):
     assert _search(lidars).registration is not None
 
 
-def test_a_pose_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
+def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
     """A made one, as likely as the pose itself, makes that undecided."""
     asked = []
 
@@ -101,6 +101,11 @@ def test_a_pose_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
         far = RigidTransform.from_xyz_rpy(frame, frame, (9, 0, 0), (0, 0, 0))
         return [replace(best, T_target_source=far @ best.T_target_source)]
 
+    monkeypatch.setattr(pairs, "find_far_poses", found_far)
+    assert _search(lidars).registration.verdict.accepted
+    assert asked == []
+    lidars = {name: lidar.with_view(replace(lidar.view, at_stop=True)) for name, lidar in lidars.items()}
+    monkeypatch.setattr(pairs, "find_far_poses", lambda *_: [])
     plain = _search(lidars)
     monkeypatch.setattr(pairs, "find_far_poses", found_far)
     registered = []

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.accept import competing_poses
+from multilica.acceptance.accept import competing_poses, is_surely_ambiguous
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
@@ -47,12 +47,14 @@ def hall():
     return _prepared(HALL)
 
 
-def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, refused=None, **changed):
-    """Verify without symmetric and repeated poses, and with constants of the stage changed."""
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=False, refused=None, **changed):
+    """Verify without symmetric and repeated poses and far slides, and with constants of the stage changed."""
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("multilica.visibility.plans._MAX_REPEATED", max_repeated)
+        if not far:
+            patch.setattr(verify, "_far_slides", lambda *_: [])
         for name, value in ({"max_symmetric_poses": 0} | changed).items():
             patch.setattr(verify, f"_{name.upper()}", value)
         config = CalibrationConfig(acceptance=limits)
@@ -217,6 +219,26 @@ def test_a_pose_among_equal_pillars_has_competing_poses(aisle):
     for other in others:
         along_m = other.T_target_source.distance_to(best.T_target_source)[0]
         assert along_m / 3.0 == pytest.approx(round(along_m / 3.0), abs=0.1)
+
+
+@pytest.mark.slow
+def test_far_slides_are_tested_until_one_surely_competes(aisle):
+    found = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)
+    slid = [each for each in found if each.derivation]
+    assert {each.derivation[:8] for each in slid} == {"slid by "}
+    last = max(slid, key=_when_slid)
+    assert is_surely_ambiguous(found, _LIMITS)
+    assert not is_surely_ambiguous([each for each in found if each is not last], _LIMITS)
+    (alone,) = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0)
+    assert alone.evidence in {each.evidence for each in found}
+    links = [replace(each, view=replace(each.view, at_stop=True)) for each in aisle]
+    assert len(_verified(links, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)) == 1
+
+
+def _when_slid(found):
+    """Order slides as they are tested: the nearer first, backwards before forwards."""
+    metres = float(found.derivation.split()[2])
+    return abs(metres), metres
 
 
 def _far(lidars, *, swapped=False, limits=_LIMITS):
