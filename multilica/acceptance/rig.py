@@ -16,6 +16,8 @@ from multilica.results import PairRegistration, Reason, Registration, Verdict, V
 from multilica.visibility.sensor_view import ScorePose
 
 _CODE = "cycle_contradicted"
+# Number of the hypothesis of a pair that was registered where others imply it.
+_IMPLIED = -1
 # A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
 _TURNED_RAD = np.deg2rad(45.0)
 
@@ -86,7 +88,8 @@ def check_cycles(
 
     A chain of accepted pairs implies a pose between its ends. If beams or another accepted pair contradict that pose,
     one pair of the chain is wrong. The evidence of the beams against the implied pose is subtracted from that of each
-    pair. In a cycle that does not close, the pair with the least evidence goes, with those that hardly have more.
+    pair. In a cycle that does not close, the pair with the least evidence goes, with those that hardly have more. If a
+    pair that goes was registered where others implied it, these go as well: it only repeats what they say.
 
     Uncertain pairs, which join what accepted ones do not, are in chains and cycles as well. If beams contradict a
     chain, they are doubted before the accepted ones, which were examined without them.
@@ -106,6 +109,7 @@ def check_cycles(
             for pair in cycle:
                 if pair.evidence < least + config.min_log_odds_margin:
                     doubts.setdefault(id(pair), _exclusion(loop, implied))
+    _doubt_implying(joining, doubts, config)
     known = {pair.lidars for pair in joining}
     for target, source in combinations(names, 2):
         implied = graph.implied(target, source)
@@ -118,6 +122,19 @@ def check_cycles(
             if pair.evidence - score.contradiction < config.min_evidence:
                 doubts.setdefault(id(pair), _contradiction(implied, score))
     return _doubted(pairs, doubts)
+
+
+def _doubt_implying(pairs: Sequence[PairRegistration], doubts: dict[int, Reason], config: AcceptanceConfig) -> None:
+    """Doubt the pairs that implied the pose of a doubted one, but for those with clearly more evidence."""
+    names = sorted({name for pair in pairs for name in pair.lidars})
+    for pair in [each for each in pairs if each.hypothesis == _IMPLIED and id(each) in doubts]:
+        others = PairGraph.of(names, [each for each in pairs if id(each) not in doubts])
+        implied = others.implied(pair.target, pair.source)
+        if implied is None or is_distinct(implied, [pair.T_target_source]):
+            continue
+        for each in others.path(pair.target, pair.source):
+            if each.evidence < pair.evidence + config.min_log_odds_margin:
+                doubts[id(each)] = doubts[id(pair)]
 
 
 def check_ambiguous_chains(

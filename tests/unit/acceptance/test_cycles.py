@@ -86,6 +86,21 @@ def test_of_a_cycle_that_does_not_close_the_weakest_goes(evidence, doubted):
     assert all("one of the pairs is wrong" in pair.verdict.text for pair in after if is_contradicted(pair))
 
 
+@pytest.mark.parametrize(
+    ("hypothesis", "evidence", "doubted"),
+    [(-1, 500, ["ab", "ac", "bc", "bd", "cd"]), (0, 500, ["ab", "ac", "bc"]), (-1, 5000, ["ab", "ac", "bc", "cd"])],
+    ids=["where they implied it", "by a search", "by one with clearly more evidence"],
+)
+def test_pairs_that_implied_a_doubted_one_are_doubted(hypothesis, evidence, doubted):
+    """The pairs of c with a and b are 0.2 m off each, in opposite directions, so each of the other cycles closes."""
+    shift = pose("a", "a", (0.2, 0.0, 0.0))
+    opposite = true_pose("b", "a") @ shift.inverse() @ true_pose("a", "b")
+    pairs = [linked("a", "b", 620), linked("b", "d", evidence), linked("c", "d", 480)]
+    pairs.append(moved_to(linked("a", "c", 600), shift @ true_pose("a", "c")))
+    pairs.append(replace(moved_to(linked("b", "c", 400), opposite @ true_pose("b", "c")), hypothesis=hypothesis))
+    assert sorted(_doubted(pairs, scored)) == doubted
+
+
 def test_pairs_without_a_score_are_left_alone():
     pairs = [replace(linked("a", "b"), registrations=()), replace(linked("a", "c"), registrations=())]
     assert _doubted(pairs, _contradict("b", "c")) == []
