@@ -38,8 +38,8 @@ _RELAXATION = 1.5
 _PATCH_M = 1.0
 # Patches of one surface are not independent either, measured on simulated vehicles: their sums count so much more.
 _OF_PATCHES = 0.4
-# A surface is not known better: its reflectivity changes a range by millimetres.
-_SURFACE_SIGMA_M = 0.00125
+# A plane is not known better: it is of one material, whose reflectivity changes a range by millimetres.
+_PLANE_SIGMA_M = 0.0011
 # The variance of a direction that n surfaces constrain is larger by this over n.
 _OF_FEW = 1.0
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
@@ -145,7 +145,8 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     hessian = equations.hessian(residuals.weight)
     noise = _noise(hessian)
     remaining = _remaining_hessian(overlap, pose, biases, residuals.sigma_m, hessian)
-    surfaces = _Surfaces(equations, overlap.surfaces[residuals.rows], residuals.weight)
+    rows = residuals.rows
+    surfaces = _Surfaces(equations, overlap.surfaces[rows], overlap.planes[rows], residuals.weight)
     hessian, _ = _floored(remaining, noise)
     variance = _usual_variance(hessian, surfaces.squared(residuals.residual_m) + surfaces.least + noise)
     gradient = equations.gradient(residuals.weight * residuals.residual_m) / variance
@@ -246,10 +247,11 @@ def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Surfaces:
-    """Sums over the surfaces (M,) of the matches, with weights (M,)."""
+    """Sums over the surfaces (M,) of the matches and over their planes (M,), with weights (M,)."""
 
     equations: PlaneEquations
     labels: IndexArray
+    planes: IndexArray
     weight: FloatArray
 
     @cached_property
@@ -259,8 +261,8 @@ class _Surfaces:
 
     @property
     def least(self) -> FloatArray:
-        """(N, N) covariance of the sum of scores if each surface was as well known as it can be."""
-        return _SURFACE_SIGMA_M**2 * self._alike
+        """(N, N) covariance of the sum of scores if each plane was as well known as it can be."""
+        return _PLANE_SIGMA_M**2 * _squared(self.equations, self.planes, self.weight)
 
     def squared(self, residual_m: FloatArray) -> FloatArray:
         return _squared(self.equations, self.labels, self.weight * residual_m)

@@ -31,6 +31,8 @@ _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 3.0
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
+# Distance of a plane from the target; a normal that is 2 deg off changes it by as much, 60 m away.
+_PLANE_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +43,8 @@ class Overlap:
         points_m, normals: (N, 3) of the source.
         placed: finds their neighbours in the target.
         shifts: (4, N, 3) how biases move them, and `ring_shifts` (3, N, 3) those of their rings.
-        surfaces, rings: (N,) number of the surface and of the ring that a point is of; points with one number share
-            their errors.
+        surfaces, planes, rings: (N,) number of the surface, of the plane and of the ring that a point is of; points
+            with one number share their errors.
         target_rings: (T,) the same of the target.
     """
 
@@ -53,6 +55,7 @@ class Overlap:
     shifts: FloatArray
     ring_shifts: FloatArray
     surfaces: IndexArray
+    planes: IndexArray
     rings: IndexArray
     target_rings: IndexArray
 
@@ -67,6 +70,7 @@ class Overlap:
             shifts=self.shifts[:, some],
             ring_shifts=self.ring_shifts[:, some],
             surfaces=self.surfaces[some],
+            planes=self.planes[some],
             rings=self.rings[some],
         )
 
@@ -127,7 +131,8 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> 
     normals, _ = source.surface.at(near)
     points_m = source.points_m[near]
     placed_m, turned = pose.apply(points_m), pose.rotate(normals)
-    surfaces = np.column_stack([np.floor(placed_m / _SURFACE_M), np.argmax(np.abs(turned), axis=1)])
+    axes = np.argmax(np.abs(turned), axis=1)
+    offsets_m = np.abs(np.einsum("ij,ij->i", placed_m, turned))
     return Overlap(
         target,
         points_m,
@@ -135,7 +140,8 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> 
         MovedPoints.of(target.tree, placed_m),
         shifts_per_bias(points_m, normals),
         shifts_per_ring_bias(points_m),
-        numbered(surfaces),
+        numbered(np.column_stack([np.floor(placed_m / _SURFACE_M), axes])),
+        numbered(np.column_stack([np.floor(offsets_m / _PLANE_M), axes])),
         ring_numbers(points_m),
         ring_numbers(target.points_m),
     )

@@ -121,6 +121,14 @@ def _surfaces(points_m, normals):
     return _clusters(np.column_stack([np.floor(points_m / 6.0), np.argmax(np.abs(normals), axis=1)]))
 
 
+def _surfaces_and_planes(overlap, here, pose):
+    """Return the surface and the plane (N,) of each match: those at equal distances along their normals are one."""
+    points_m, normals = pose.apply(overlap.points_m)[here.rows], pose.rotate(overlap.normals)[here.rows]
+    from_target_m = np.abs(np.sum(points_m * normals, axis=1))
+    planes = np.column_stack([np.floor(from_target_m / 2.0), np.argmax(np.abs(normals), axis=1)])
+    return _surfaces(points_m, normals), _clusters(planes)
+
+
 def _lighter(weight, information, gradient, *spreads):
     return information / weight, gradient / weight, *(each / weight**2 for each in spreads)
 
@@ -129,9 +137,10 @@ def _lighter(weight, information, gradient, *spreads):
 def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
-    B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
-    LiDARs, 0.2 of each, and over patches of 1 m, 0.4 of them. These patches are its random part. Directions of n
-    surfaces have 1 + 1 / n times as much. A pair whose variance is larger than its information says loses weight.
+    B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, over planes that are
+    1.1 mm off, over rings of both LiDARs, 0.2 of each, and over patches of 1 m, 0.4 of them. These patches are its
+    random part. Directions of n surfaces have 1 + 1 / n times as much. A pair whose variance is larger than its
+    information says loses weight.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_matches.find_overlap(target, source, pose)
@@ -139,7 +148,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     jacobian, bands, rings = _by_all_unknowns(target, overlap, here, pose)
     pulls = here.weight[:, None] * jacobian
     # The surfaces are those at the pose that the fit began with.
-    surfaces = _surfaces(pose.apply(overlap.points_m)[here.rows], pose.rotate(overlap.normals)[here.rows])
+    surfaces, planes = _surfaces_and_planes(overlap, here, pose)
 
     def squared(clusters, factors=here.residual_m):
         sums = _summed(factors[:, None] * pulls, clusters)
@@ -151,7 +160,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
     remaining, _ = plane_fit._floored(remaining, noise)
     alike = squared(surfaces, np.ones(len(pulls)))
-    uneven = plane_fit._SURFACE_SIGMA_M**2 * alike
+    uneven = 0.0011**2 * squared(planes, np.ones(len(pulls)))
     variance = np.median(eigh((squared(surfaces) + uneven + noise)[:6, :6], remaining[:6, :6], eigvals_only=True))
     information, gradient = remaining / variance, pulls.T @ here.residual_m / variance
     sigmas = np.concatenate([_BIAS_SIGMAS, *(ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings)])
