@@ -38,7 +38,7 @@ _OPPOSITE = Rig(
 )
 _LIDARS = ("front", "rear")
 _CONFIG = with_overrides(CalibrationConfig(), ["runtime.workers=1"])
-_TURNING = ((0.0, 0.0, 0.0), (4.0, 2.5, 90.0), (1.0, 6.0, 180.0))
+_TURNING = ((0.0, 0.0, 0.0), (4.0, 2.5, 90.0), (1.0, 6.0, 160.0))
 _STRAIGHT = ((0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (10.0, 0.0, 0.0))
 
 
@@ -81,6 +81,14 @@ def test_a_drive_that_turns_places_lidars_without_a_common_view():
     for stop in result.stops:
         places = [_at(*_TURNING[int(name[-1]) - 1]) @ own for name in (stop.first, stop.name)]
         assert np.abs((places[0].inverse() @ places[1]).matrix - stop.T_first_stop.matrix).max() < 0.02
+
+
+def test_with_a_half_turn_nothing_confirms_a_link():
+    """Stops that are half a turn apart tell no position between them, so that a wrong link could fit as well."""
+    result = _calibrated((*_TURNING[:2], (1.0, 6.0, 180.0)))
+    assert "no other link confirms it" in {link.reason for link in result.links}
+    assert not any(link.used for link in result.links)
+    assert sum(each.placed for each in result.placements) == 1
 
 
 def test_the_document_and_the_map_have_the_stops():
