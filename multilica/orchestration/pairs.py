@@ -207,7 +207,7 @@ def _beside_far_poses(search: PairSearch, target: PreparedLidar, source: Prepare
         poses = [each.as_hypothesis(best) for each in (best, *further)]
         poses = [replace(each, T_target_source=each.T_target_source.with_target(name)) for each in poses]
         search.registration = register_sides(target.side, source.side, poses, config)
-        search.verified = (*(search.verified or ()), *further)
+        search.verified = (*search.verified, *further)
 
 
 def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
