@@ -14,19 +14,21 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
+from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, FoundLinks, follow_motions, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, FoundLinks, follow_motions, follow_poses, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.registration.widening import loosened
-from multilica.results import CalibrationResult, LidarPlacement, TimeLimit, ViewPair
+from multilica.results import CalibrationResult, DriveView, LidarPlacement, TimeLimit, ViewPair
 from multilica.results.registrations import weakest_deviations
 from multilica.snapshot import LidarMotion, ReadMotions, Snapshot
 from multilica.workers import Workers
@@ -123,21 +125,42 @@ def calibrate_jointly(
         runs.append(calibrate_stop(prepared, earlier))
         if prepared and (own := runs[-1].result) is not None:
             stops.append(DriveStop(name, prepared, own.trusted))
-    with threadpool_limits(1):
-        found = search_links(stops, config, workers, deadline_s)
-        against = partial(contradiction_at, stops, config)
-        result = join(runs, config, found.links, against)
-        if confirmed := _confirmed(stops, found, result):
-            found = replace(found, links=(*found.links, *confirmed))
-            result = join(runs, config, found.links, against)
-        if any(_is_open(each) for each in result.placements):
-            found = follow_motions(stops, config, workers, found, read_motions, deadline_s)
-            if found.motions:
-                result = join(runs, config, found.links, against, found.motions, found.levels)
+    found, result = _link(stops, runs, config, workers, read_motions, deadline_s)
     if not_reached := {*found.not_reached, *not_followed}:
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
         result = replace(result, time_limit=replace(limit, unlinked_stops=tuple(sorted(not_reached))))
     return DriveCalibration(result, tuple(stops), found.links)
+
+
+def _link(
+    stops: Sequence[DriveStop],
+    runs: Sequence[SnapshotRun],
+    config: CalibrationConfig,
+    workers: Workers,
+    read_motions: Callable[[], Sequence[ViewPair]],
+    deadline_s: float,
+) -> tuple[FoundLinks, CalibrationResult]:
+    """Link the stops, with more links as long as LiDARs are not placed, and return the links with the result."""
+    against = partial(contradiction_at, stops, config)
+
+    def joined(found: FoundLinks) -> CalibrationResult:
+        return join(runs, config, found.links, against, found.motions, found.levels)
+
+    with threadpool_limits(1):
+        found = search_links(stops, config, workers, deadline_s)
+        result = joined(found)
+        if confirmed := _confirmed(stops, found, result):
+            found = replace(found, links=(*found.links, *confirmed))
+            result = joined(found)
+        if any(each.status == "uncertain" for each in result.placements):
+            found = follow_poses(stops, config, workers, found, _view_poses(result), deadline_s)
+            found = replace(found, links=(*found.links, *_confirmed(stops, found, result)))
+            result = joined(found)
+        if any(_is_open(each) for each in result.placements):
+            found = follow_motions(stops, config, workers, found, read_motions, deadline_s)
+            if found.motions:
+                result = joined(found)
+    return found, result
 
 
 def ways_of(snapshots: Mapping[str, Snapshot]) -> dict[str, ReadMotions]:
@@ -150,8 +173,20 @@ def _confirmed(stops: Sequence[DriveStop], found: FoundLinks, result: Calibratio
     if not found.weak or all(each.placed for each in result.placements):
         return []
     within = [ViewPair(pair, stop.name, stop.name) for stop in stops for pair in stop.pairs]
-    confirmed = confirmed_links(result.target, within, found.links, found.weak)
+    grounds = ground_pairs(found.levels)
+    confirmed = confirmed_links(result.target, within, found.links, found.weak, grounds)
     return [replace(link, registration=loosened(link.registration, _WEAKER)) for link in confirmed]
+
+
+def _view_poses(result: CalibrationResult) -> dict[DriveView, RigidTransform]:
+    """Return the pose of each LiDAR at each linked stop, relative to the target at the first of these stops."""
+    return {
+        (view := DriveView(lidar, stop.name)): RigidTransform(
+            stop.first, view.label, stop.T_first_stop.matrix @ pose.matrix
+        )
+        for stop in result.stops
+        for lidar, pose in result.poses.items()
+    }
 
 
 def _is_open(placement: LidarPlacement) -> bool:

@@ -20,7 +20,7 @@ from multilica.multi_snapshot.estimate import (
     scatter_ratio,
     spread_of,
 )
-from multilica.multi_snapshot.motions import MotionPose
+from multilica.multi_snapshot.motions import ToldPose
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
@@ -41,6 +41,7 @@ from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig
 
 _BY_MOTIONS = "only its motion between the stops and the ground tell its pose"
+_BY_GROUND = "only the ground tells its height"
 # Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
 _LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
 
@@ -102,7 +103,7 @@ def join(
         links: registrations between snapshots that are stops of one drive.
         contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
         motions: of LiDARs between these snapshots, by odometry.
-        levels: poses of LiDARs over the ground, of use where only motions tell a pose.
+        levels: poses of LiDARs over the ground, of use where pairs and links leave a pose open.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -307,7 +308,7 @@ class _JointRig:
             spread=spread_of(estimates),
         )
 
-    def _by_motions(self, told: MotionPose) -> LidarPlacement:
+    def _by_motions(self, told: ToldPose) -> LidarPlacement:
         """Return the pose that motions tell, which is uncertain at best."""
         lidar = told.T_root_lidar.source
         found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
@@ -316,9 +317,8 @@ class _JointRig:
             return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")
         sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
         along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
-        reason = (
-            f"{_BY_MOTIONS}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
-        )
+        told_by = _BY_GROUND if lidar in self.rig.covariances else _BY_MOTIONS
+        reason = f"{told_by}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
         return replace(found, status="uncertain", reason=reason)
 
     def _why_unplaced(self, lidar: str) -> str:

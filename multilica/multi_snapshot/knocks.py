@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
+from multilica.multi_snapshot.view_solution import ViewSolution, solve_near
 from multilica.results import DriveView, Knock, ViewPair
 
 # A knock explains this much of chi squared with 6 more unknowns, and by an F test, which does not depend on the size of
@@ -78,9 +78,8 @@ def _moved_at(number: int, lidar: str, root: str, solution: ViewSolution, stops:
     names = {lidar, lidar + _AFTER}
     if not names <= {view.lidar for pair in split for view in pair.views}:
         return None
-    apart = solve_views(root, split)
-    if not names <= apart.poses.poses.keys() or len(apart.pairs) < len(split):
-        return None
+    start = RigidTransform(root, lidar + _AFTER, solution.poses.poses[lidar].matrix)
+    apart = solve_near(solution, split, {start.source: start})
     explained = solution.squared - apart.squared
     left = _FREEDOM * len(apart.pairs) - apart.poses.columns
     if left <= 0 or fdtrc(_FREEDOM, left, explained / _FREEDOM * left / apart.squared) > _PROBABILITY:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from multilica.geometry import FloatArray, RigidTransform, rotation_angle_rad, skew
+from multilica.geometry import FloatArray, RigidTransform, rotation_angle_rad
 from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
-from multilica.registration.poses import is_distinct, moved
+from multilica.registration.poses import is_distinct
 from multilica.results import StopMotion, ViewPair
 
 _FREEDOM = 6
@@ -19,14 +19,14 @@ OPEN_M = 0.5
 """The height that a drive on a plane leaves free has a larger standard deviation."""
 # Motions of LiDARs on one vehicle differ by more hardly ever; these are not farther from each other.
 _SIGMAS, _APART_M = 4.0, 12.0
-# The ground that two LiDARs see is no common plane: by so much it differs in slope and height, with room for kerbs.
-_GROUND_RAD, _GROUND_M = float(np.deg2rad(1.0)), 0.1
+# Covariance of the systematic errors of links, which these poses do without.
+_SYSTEMATIC = np.diag(np.repeat([np.deg2rad(0.1) ** 2, 0.02**2], 3))
 _BLOCKS = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionPose:
-    """A pose on the vehicle that motions tell, with its covariance (6, 6) along the axes of the root."""
+class ToldPose:
+    """A pose on the vehicle with its covariance (6, 6) along the axes of the root."""
 
     T_root_lidar: RigidTransform
     covariance: FloatArray
@@ -68,51 +68,36 @@ def poses_by_motions(
     root: str,
     pairs: Sequence[ViewPair],
     motions: Sequence[ViewPair],
-    known: Mapping[str, MotionPose],
-    levels: Mapping[str, RigidTransform],
-) -> Mapping[str, MotionPose]:
+    known: Mapping[str, FloatArray],
+    grounds: Sequence[ViewPair],
+) -> Mapping[str, ToldPose]:
     """Return the poses of LiDARs that the pairs leave open and motions tell, as in hand-eye calibration.
 
-    A drive on a plane leaves the height of a LiDAR free, which the ground that it and the root see then tells. So it
+    A drive on a plane leaves the height of a LiDAR free, which the ground that it and others see then tells. So it
     does where links and pairs tell all but the height.
 
     Args:
         pairs: within stops and between them.
-        known: poses of LiDARs that the pairs tell.
-        levels: per LiDAR with ground in sight, its pose over the ground, by height, roll and pitch.
+        known: covariances of the poses of LiDARs that the pairs connect.
+        grounds: pairs of LiDARs that see the same ground.
     """
-    found = {
-        lidar: _on_one_ground(told, levels[root], levels[lidar])
-        for lidar, told in known.items()
-        if {root, lidar} <= levels.keys() and np.linalg.eigvalsh(told.covariance[3:, 3:])[-1] > OPEN_M**2
+    on_ground = {lidar for pair in grounds for lidar in pair.registration.lidars}
+    told = {
+        lidar
+        for lidar, own in known.items()
+        if lidar not in on_ground or np.linalg.eigvalsh(own[3:, 3:])[-1] < OPEN_M**2
     }
-    if {motion.target.lidar for motion in motions} <= {root, *known}:
-        return found
-    solution = solve_views(root, [*pairs, *motions])
+    moved = {motion.target.lidar for motion in motions} - {root, *known}
+    if told == known.keys() and not moved:
+        return {}
+    solution = solve_views(root, [*pairs, *(motions if moved else ())], grounds)
     covariance = solution.covariance
-    for number, lidar in enumerate(solution.poses.free):
-        if lidar not in known:
-            block = slice(6 * number, 6 * number + 6)
-            told = MotionPose(solution.poses.poses[lidar], covariance[block, block])
-            both = root in levels and lidar in levels
-            found[lidar] = _on_one_ground(told, levels[root], levels[lidar]) if both else told
-    return found
-
-
-def _on_one_ground(told: MotionPose, of_root: RigidTransform, of_lidar: RigidTransform) -> MotionPose:
-    """Move a pose to where both LiDARs stand on the same ground, as far as its covariance allows (Kalman)."""
-    pose, to_level = told.T_root_lidar, of_root.rotation
-    foot_m = of_lidar.inverse().xyz_m
-    up = to_level @ pose.rotation @ of_lidar.rotation[2]
-    height_m = float(of_root.apply(pose.apply(foot_m[None]))[0, 2])
-    jacobian = np.zeros((3, 6))
-    jacobian[:2, :3] = to_level[:2]
-    jacobian[2] = np.concatenate([-to_level[2] @ skew(pose.rotation @ foot_m), to_level[2]])
-    missing = np.array([up[1], -up[0], -height_m])
-    noise = np.diag([_GROUND_RAD**2, _GROUND_RAD**2, _GROUND_M**2])
-    gain = told.covariance @ jacobian.T @ np.linalg.inv(jacobian @ told.covariance @ jacobian.T + noise)
-    step = gain @ missing
-    return MotionPose(moved(pose, step[:3], step[3:]), (np.eye(6) - gain @ jacobian) @ told.covariance)
+    blocks = {lidar: slice(6 * number, 6 * number + 6) for number, lidar in enumerate(solution.poses.free)}
+    return {
+        lidar: ToldPose(solution.poses.poses[lidar], covariance[block, block] + _SYSTEMATIC)
+        for lidar, block in blocks.items()
+        if lidar not in told
+    }
 
 
 def described(motion: ViewPair, *, used: bool) -> StopMotion:

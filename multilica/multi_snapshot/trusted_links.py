@@ -8,10 +8,11 @@ from types import MappingProxyType
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
-from multilica.geometry import RigidTransform
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.knocks import find_knock, spares
 from multilica.multi_snapshot.motions import (
-    MotionPose,
+    ToldPose,
     agreeing_motions,
     described,
     links_off_course,
@@ -21,11 +22,14 @@ from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
+from multilica.results.registrations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
 
 ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
 """Returns the stop, other than those, at which beams contradict a pose of two LiDARs; "" if none do."""
 
+# Beams contradict a pose that is off by more.
+_TOLD_M = 0.3
 _ALONE = "no other link confirms it"
 _ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
 _ALIKE = "links contradict each other, so the place looks like another one"
@@ -67,7 +71,7 @@ class LinkedRig:
     within: Sequence[ViewPair]
     conflicts: tuple[BeamConflict, ...]
     knocks: tuple[Knock, ...]
-    by_motions: Mapping[str, MotionPose] = field(default_factory=dict)
+    by_motions: Mapping[str, ToldPose] = field(default_factory=dict)
     motions: tuple[StopMotion, ...] = ()
 
     @property
@@ -120,10 +124,10 @@ def refine_linked(
     contradicted: list[BeamConflict] = []
     knocks: list[Knock] = []
     moved = {*inconsistent}
-    elsewhere = [link for link in links if link.views & moved]
-    refused.update(dict.fromkeys(elsewhere, _ELSEWHERE))
-    links = [link for link in links if link not in elsewhere]
+    refused.update((link, _ELSEWHERE) for link in links if link.views & moved)
+    links = [link for link in links if link not in refused]
     left = [link for link in links if link.registration.information is not None]
+    grounds = ground_pairs(levels)
     agreeing, course = agreeing_motions(root, within, motions)
     refused.update(dict.fromkeys(links_off_course(course, left), _OFF_COURSE))
     left = [link for link in left if link not in refused]
@@ -131,8 +135,8 @@ def refine_linked(
         refused.update(dict.fromkeys(left, _ALIKE))
         left = []
     while True:
-        solution = solve_views(root, [*within, *left])
-        followed = solve_views(root, [*within, *left, *agreeing]) if agreeing and left else solution
+        solution = solve_views(root, [*within, *left], grounds)
+        followed = solve_views(root, [*within, *left, *agreeing], grounds) if agreeing and left else solution
         alone = [link for link in solution.linked.links if not followed.is_confirmed(link)]
         if alone:
             refused.update(dict.fromkeys(alone, _ALONE))
@@ -171,26 +175,31 @@ def refine_linked(
         within,
         tuple(contradicted),
         tuple(knocks),
-        poses_by_motions(root, [*within, *left], agreeing, _known(rig), levels),
+        poses_by_motions(root, [*within, *left], agreeing, rig.covariances, grounds),
         tuple(described(each, used=each in agreeing) for each in motions),
     )
-
-
-def _known(rig: RefinedRig) -> dict[str, MotionPose]:
-    return {name: MotionPose(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}
 
 
 def _contradicted(
     rig: RefinedRig, within: Sequence[ViewPair], contradiction_at: ContradictionAt, moved: Collection[DriveView]
 ) -> BeamConflict | None:
-    """Find two LiDARs whose pose beams contradict at a stop where it was not registered, and none of them moved."""
-    for target, source in combinations(sorted(rig.poses), 2):
+    """Find two LiDARs whose pose beams contradict at a stop where it was not registered, and none of them moved.
+
+    Poses that are not determined prove nothing.
+    """
+    told = [name for name in sorted(rig.poses) if name not in rig.covariances or _is_told(rig.covariances[name])]
+    for target, source in combinations(told, 2):
         own = {pair.target_stop for pair in within if pair.registration.lidars == {target, source}}
         own |= {view.stop for view in moved if view.lidar in (target, source)}
         stop = contradiction_at(rig.poses[target].inverse() @ rig.poses[source], own)
         if stop:
             return BeamConflict(target, source, stop)
     return None
+
+
+def _is_told(covariance: FloatArray) -> bool:
+    sigma_m, sigma_rad = weakest_deviations(covariance)
+    return max(sigma_m, LEVER_ARM_M * sigma_rad) < _TOLD_M
 
 
 def _without(within: Sequence[ViewPair], conflict: BeamConflict) -> list[ViewPair]:

@@ -1,29 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of LiDARs and stops by all pairs of views together, also where no chain of pairs tells them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, rotation_vector
 from multilica.registration.poses import is_distinct
-from multilica.registration.view_poses import ViewPoses
+from multilica.registration.view_poses import UNKNOWN, ViewPoses
 from multilica.results import DriveView, LinkedStops, PairRegistration, Verdict, ViewPair
 
 _ITERATIONS = 40
 _EPSILON = 1e-6
 LARGEST_RESIDUAL = 6.0 * 3.0**2
 """Squared residuals beyond this, of 6 degrees of freedom, lose weight (Cauchy)."""
-# Standard deviation of poses that nothing determines.
-_UNKNOWN_RAD, _UNKNOWN_M = 3.0, 30.0
+# From afar, links that are certain to a millimetre lead to the nearest of many wrong minima: at first they count less.
+_ROUGHLY = tuple(np.diag(np.repeat([np.deg2rad(10.0 * each) ** 2, each**2], 3)) for each in (1.0, 0.1))
+# The rough fit of the true poses is better than this, per pair.
+_ROUGH_FITTING = 0.1
+# A fit ends where the sum of the squared residuals falls by no larger share.
+_LEAST_GAIN, _LEAST_ROUGH_GAIN = 1e-6, 1e-2
 # Headings from which the pose of a LiDAR is sought that no chain of pairs tells.
 _HEADINGS = 8
 # A pose that is found so fits within this, per degree of freedom, and every other one by so much less in all.
 _FITTING, _LEAD = 9.0, 100.0
 # Places that look alike are farther apart; rotations count as arcs at 10 m.
 _CONFIRMED_M = 0.3
+# Along one axis, if the others are known: posts, bays and niches that repeat are three times as far apart.
+_ALONG_ONE_AXIS_M = 0.7
 # A smaller turn of the vehicle does not tell the vertical.
 _TURN_RAD = float(np.deg2rad(20.0))
 _VERTICAL = 0.9
@@ -38,6 +44,7 @@ class ViewSolution:
         first: the first of each group of linked stops.
         squared: sum of the squared residuals, with their robust loss.
         information: (N, N) of the unknowns.
+        grounds: pairs of LiDARs that see the same ground; they count besides.
     """
 
     poses: ViewPoses
@@ -45,6 +52,7 @@ class ViewSolution:
     first: frozenset[str]
     squared: float
     information: FloatArray
+    grounds: Sequence[ViewPair] = ()
 
     @property
     def linked(self) -> LinkedStops:
@@ -64,20 +72,22 @@ class ViewSolution:
         return bool(offset @ np.linalg.solve(self.covariance[block, block], offset) < LARGEST_RESIDUAL)
 
     def is_confirmed(self, link: ViewPair) -> bool:
-        """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells.
+        """Return whether the others tell where the link has to be, if only roughly along one axis.
+
+        A height that no drive on a plane tells may stay open.
 
         They do not if one of its LiDARs has no pose here.
         """
         if link not in self.pairs:
             return False
         jacobian, columns = self.poses.jacobian(link)
-        _, information, _ = _equations(self.poses, [pair for pair in self.pairs if pair is not link])
+        _, information, _ = _equations(self.poses, [pair for pair in (*self.pairs, *self.grounds) if pair is not link])
         inverse = np.linalg.inv(information + _prior(len(information)))
         scale = np.repeat([LEVER_ARM_M, 1.0], 3)
         covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
         variances, directions = np.linalg.eigh(covariance)
         loose = directions[:, variances > _CONFIRMED_M**2]
-        if loose.shape[1] == 0:
+        if loose.shape[1] == 0 or (loose.shape[1] == 1 and variances[-1] < _ALONG_ONE_AXIS_M**2):
             return True
         up = self._vertical
         if loose.shape[1] > 1 or up is None:
@@ -94,23 +104,42 @@ class ViewSolution:
         return largest / angle_rad if angle_rad > _TURN_RAD else None
 
 
-def solve_views(root: str, pairs: Sequence[ViewPair]) -> ViewSolution:
+def solve_near(known: ViewSolution, pairs: Sequence[ViewPair], added: Mapping[str, RigidTransform]) -> ViewSolution:
+    """Fit the poses to other pairs, from where they are.
+
+    Args:
+        added: poses of further LiDARs to begin with.
+    """
+    state = known.poses
+    state = replace(state, poses={**state.poses, **added}, free=sorted([*state.free, *added]))
+    return _fit(replace(known, poses=state, pairs=pairs))
+
+
+def solve_views(root: str, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair] = ()) -> ViewSolution:
     """Find the poses of LiDARs and stops that follow from the pairs, relative to the root.
 
     Chains of pairs tell most poses. Two groups of views that no pair connects may still determine each other, as in
     hand-eye calibration, if the vehicle turns: the pose of such a LiDAR is sought from several headings.
+
+    Args:
+        grounds: pairs of LiDARs that see the same ground.
     """
     views = sorted({view for pair in pairs for view in pair.views})
     assumed: list[ViewPair] = []
-    solution = _solved(root, views, pairs, assumed)
-    while (found := _next_lidar(root, views, pairs, assumed, solution)) is not None:
+    solution = _fit(_started(root, views, pairs, assumed, grounds))
+    while (found := _next_lidar(root, views, pairs, assumed, grounds, solution)) is not None:
         assumed.append(found)
-        solution = _solved(root, views, pairs, assumed)
+        solution = _fit(_started(root, views, pairs, assumed, grounds))
     return solution
 
 
 def _next_lidar(
-    root: str, views: Sequence[DriveView], pairs: Sequence[ViewPair], assumed: Sequence[ViewPair], known: ViewSolution
+    root: str,
+    views: Sequence[DriveView],
+    pairs: Sequence[ViewPair],
+    assumed: Sequence[ViewPair],
+    grounds: Sequence[ViewPair],
+    known: ViewSolution,
 ) -> ViewPair | None:
     """Return the pose on the vehicle of one more LiDAR, as a pair with one that has a pose; None if there is none."""
     left = sorted({view.lidar for view in views} - known.poses.poses.keys())
@@ -125,8 +154,7 @@ def _next_lidar(
         if not anchors:
             continue
         starts = [_assumed(root, lidar, anchors[0], known, heading) for heading in range(_HEADINGS)]
-        found = [_solved(root, views, pairs, [*assumed, start]) for start in starts]
-        near = [each for each in found if not _is_afar(each, lidar)]
+        near = _fits(lidar, [_started(root, views, pairs, [*assumed, start], grounds) for start in starts])
         if not near:
             continue
         best, *others = sorted(near, key=lambda each: each.squared)
@@ -141,7 +169,7 @@ def _next_lidar(
             ),
             default=np.inf,
         )
-        freedom = 6 * len(best.pairs) - best.poses.columns
+        freedom = 6 * len(best.pairs) + 3 * len(best.grounds) - best.poses.columns
         if freedom > 0 and best.squared < _FITTING * freedom and lead > best.squared + _LEAD:
             anchor = anchors[0].lidar
             pose = best.poses.poses[anchor].inverse() @ best.poses.poses[lidar]
@@ -152,7 +180,7 @@ def _next_lidar(
 def _is_afar(solution: ViewSolution, lidar: str) -> bool:
     """Return whether a LiDAR came to lie beyond any vehicle, along a direction that nothing determines."""
     pose = solution.poses.poses.get(lidar)
-    return pose is not None and float(np.linalg.norm(pose.xyz_m)) > _UNKNOWN_M
+    return pose is not None and float(np.linalg.norm(pose.xyz_m)) > UNKNOWN[-1]
 
 
 def _assumed(root: str, lidar: str, anchor: DriveView, known: ViewSolution, heading: int) -> ViewPair:
@@ -170,43 +198,81 @@ def _pseudo(pose: RigidTransform, stop: str) -> ViewPair:
     return ViewPair(pair, stop, stop)
 
 
-def _solved(
-    root: str, views: Sequence[DriveView], pairs: Sequence[ViewPair], assumed: Sequence[ViewPair]
+def _started(
+    root: str,
+    views: Sequence[DriveView],
+    pairs: Sequence[ViewPair],
+    assumed: Sequence[ViewPair],
+    grounds: Sequence[ViewPair],
 ) -> ViewSolution:
-    """Start at the poses that chains of pairs tell, and fit them to all pairs."""
+    """Return the poses that chains of pairs tell, not fitted yet."""
     graph = ViewGraph.of(views, [*pairs, *assumed])
     poses = graph.lidar_poses(root)
     linked = graph.linked_stops(root, [pair for pair in pairs if pair.is_link])
     used = [pair for pair in pairs if not pair.is_link and pair.registration.lidars <= {*poses}] + [*linked.links]
     stops = {name: linked.poses[name] for link in linked.links for name in sorted(link.stops)}
     state = ViewPoses(poses, stops, sorted(poses.keys() - {root}), sorted(stops.keys() - linked.first))
-    squared, information, gradient = _equations(state, used)
-    damping = 1e-3
+    seen = [pair for pair in grounds if pair.registration.lidars <= {*poses}]
+    return ViewSolution(state, used, linked.first, np.inf, np.zeros((state.columns, state.columns)), seen)
+
+
+def _fits(lidar: str, starts: Sequence[ViewSolution]) -> list[ViewSolution]:
+    """Fit all pairs from each start: roughly first, then those that differ and fit."""
+    found: list[ViewSolution] = []
+    for start in starts:
+        rough = _fit(start, _ROUGHLY[0])
+        if rough.squared > _ROUGH_FITTING * len(rough.pairs) or _is_afar(rough, lidar):
+            continue
+        fitted = _fit(_fit(rough, _ROUGHLY[1]))
+        if not _is_afar(fitted, lidar):
+            found.append(fitted)
+    return found
+
+
+def _fit(start: ViewSolution, error: FloatArray | None = None) -> ViewSolution:
+    """Fit poses to all pairs (Levenberg-Marquardt).
+
+    Args:
+        error: covariance (6, 6) that each pair has besides its own.
+    """
+    pairs = [*start.pairs, *start.grounds]
+    poses = start.poses
+    squared, information, gradient = _equations(poses, pairs, error)
+    damping, least_gain = 1e-3, _LEAST_GAIN if error is None else _LEAST_ROUGH_GAIN
     for _ in range(_ITERATIONS):
-        if not state.columns:
+        if not poses.columns:
             break
-        system = information + _prior(state.columns)
+        system = information + _prior(poses.columns)
         step = np.asarray(np.linalg.solve(system + damping * np.diag(np.diag(system)), -gradient), dtype=np.float64)
-        further = state.moved(step)
-        after = _equations(further, used)
+        further = poses.moved(step)
+        after = _equations(further, pairs, error)
         if after[0] > squared:
             damping *= 10.0
             if damping > 1e6:
                 break
             continue
-        state, damping = further, damping / 10.0
+        is_settled = squared - after[0] < least_gain * squared
+        poses, damping = further, damping / 4.0
         squared, information, gradient = after
-        if np.abs(step).max() < _EPSILON:
+        if is_settled or np.abs(step).max() < _EPSILON:
             break
-    return ViewSolution(state, used, linked.first, squared, information)
+    return replace(start, poses=poses, squared=squared, information=information)
 
 
-def _equations(poses: ViewPoses, pairs: Sequence[ViewPair]) -> tuple[float, FloatArray, FloatArray]:
-    """Return the sum of the squared residuals, the information (N, N) and the gradient (N,), with robust weights."""
+def _equations(
+    poses: ViewPoses, pairs: Sequence[ViewPair], error: FloatArray | None = None
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the sum of the squared residuals, the information (N, N) and the gradient (N,), with robust weights.
+
+    Args:
+        error: covariance (6, 6) that each pair has besides its own.
+    """
     information, gradient = np.zeros((poses.columns, poses.columns)), np.zeros(poses.columns)
     total = 0.0
     for pair in pairs:
         offset, weights = poses.offset(pair), np.asarray(pair.registration.information)
+        if error is not None:
+            weights = weights @ np.linalg.inv(np.eye(6) + error @ weights)
         squared = float(offset @ weights @ offset)
         weight = 1.0 / (1.0 + squared / LARGEST_RESIDUAL)
         total += LARGEST_RESIDUAL * float(np.log1p(squared / LARGEST_RESIDUAL))
@@ -217,4 +283,4 @@ def _equations(poses: ViewPoses, pairs: Sequence[ViewPair]) -> tuple[float, Floa
 
 
 def _prior(columns: int) -> FloatArray:
-    return np.diag(np.tile(np.repeat([_UNKNOWN_RAD**-2.0, _UNKNOWN_M**-2.0], 3), columns // 6))
+    return np.diag(np.resize(UNKNOWN, columns) ** -2.0)

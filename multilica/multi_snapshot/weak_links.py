@@ -14,7 +14,11 @@ _MOST, _AT_ONCE = 3, 2
 
 
 def confirmed_links(
-    root: str, within: Sequence[ViewPair], links: Sequence[ViewPair], weak: Sequence[ViewPair]
+    root: str,
+    within: Sequence[ViewPair],
+    links: Sequence[ViewPair],
+    weak: Sequence[ViewPair],
+    grounds: Sequence[ViewPair] = (),
 ) -> list[ViewPair]:
     """Return the weak links that fit all links and pairs, and that others confirm.
 
@@ -24,30 +28,35 @@ def confirmed_links(
         within: pairs within stops.
         links: between stops, with enough evidence.
         weak: other links between stops, none of which counts without the others.
+        grounds: pairs of LiDARs that see the same ground.
 
     Returns:
         None if links leave the pose of a LiDAR open, and no few of them tell one.
     """
     sure = [pair for pair in (*within, *links) if pair.registration.information is not None]
     ranked = sorted(weak, key=lambda link: (-link.registration.evidence, link.target, link.source))
-    confirmed = _first(root, sure, ranked)
+    confirmed = _first(root, sure, ranked, grounds)
     if confirmed is None:
         return []
     for link in ranked:
-        if link not in confirmed and _all_fit(solve_views(root, [*sure, *confirmed, link]), [*confirmed, link]):
+        if link not in confirmed and _all_fit(
+            solve_views(root, [*sure, *confirmed, link], grounds), [*confirmed, link]
+        ):
             confirmed.append(link)
     return confirmed
 
 
-def _first(root: str, sure: Sequence[ViewPair], ranked: Sequence[ViewPair]) -> list[ViewPair] | None:
+def _first(
+    root: str, sure: Sequence[ViewPair], ranked: Sequence[ViewPair], grounds: Sequence[ViewPair]
+) -> list[ViewPair] | None:
     """Return the fewest weak links that tell the pose of another LiDAR; none are needed if all are told."""
-    known = solve_views(root, sure).poses.poses.keys()
+    known = solve_views(root, sure, grounds).poses.poses.keys()
     if {view.lidar for pair in (*sure, *ranked) for view in pair.views} <= known:
         return []
     for count in range(1, _AT_ONCE + 1):
         for added in combinations(ranked[:_MOST], count):
             if _may_tell([*sure, *added]):
-                solution = solve_views(root, [*sure, *added])
+                solution = solve_views(root, [*sure, *added], grounds)
                 if len(solution.poses.poses) > len(known) and _all_fit(solution, added):
                     return list(added)
     return None

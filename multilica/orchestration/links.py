@@ -17,7 +17,7 @@ from multilica.orchestration.pairs import (
     score_roughly,
     search_pair,
 )
-from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views, with_movable
+from multilica.orchestration.stop_views import DriveStop, least_evidence, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
 from multilica.stages.pair_choice import LEAST_PRIORITY, choose_loops, next_round
@@ -43,7 +43,7 @@ class FoundLinks:
         weak: others, which have too little evidence to count without links that confirm them.
         not_reached: pairs of stops whose views there was no time to search.
         motions: of LiDARs between the stops, if they were read.
-        levels: poses of LiDARs over the ground, with motions.
+        levels: poses of LiDARs over the ground.
     """
 
     links: tuple[ViewPair, ...] = ()
@@ -73,7 +73,7 @@ def search_links(
     finally:
         workers.forget()
     weak = tuple(link for pair, link in search.weak.items() if pair not in search.links)
-    return FoundLinks(tuple(search.links.values()), weak, tuple(sorted(search.not_reached)))
+    return FoundLinks(tuple(search.links.values()), weak, tuple(sorted(search.not_reached)), levels=search.levels)
 
 
 def follow_motions(
@@ -91,7 +91,7 @@ def follow_motions(
         read_motions: returns the motions of LiDARs between the stops by odometry.
 
     Returns:
-        The links, with the motions and what tells the height that they leave free.
+        The links, with the motions.
     """
     motions = read_motions() if _may_link(stops, config) else ()
     if not motions:
@@ -103,7 +103,38 @@ def follow_motions(
         workers.forget()
     kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
     not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
-    return FoundLinks((*found.links, *kept), found.weak, not_reached, motions, search.levels)
+    return replace(found, links=(*found.links, *kept), not_reached=not_reached, motions=motions)
+
+
+def follow_poses(
+    stops: Sequence[DriveStop],
+    config: CalibrationConfig,
+    workers: Workers,
+    found: FoundLinks,
+    poses: Mapping[DriveView, RigidTransform],
+    deadline_s: float = float("inf"),
+) -> FoundLinks:
+    """Register views of different stops from the poses that all links tell together, where these are not precise.
+
+    All links together may tell poses that no chain of them tells, and each further link makes them more precise.
+
+    Args:
+        found: links that tell the poses.
+        poses: of views. Those with the same target have linked stops.
+
+    Returns:
+        All links, those with little evidence among the weak ones.
+    """
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
+    known = {link.views for link in found.links}
+    try:
+        search.follow_poses(poses, known)
+    finally:
+        workers.forget()
+    known |= {link.views for link in search.weak.values()}
+    weak = (*(link for link in found.weak if link.views not in known), *search.weak.values())
+    not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
+    return replace(found, links=(*found.links, *search.links.values()), weak=weak, not_reached=not_reached)
 
 
 @dataclass(slots=True, eq=False)
@@ -185,6 +216,22 @@ class _LinkSearch:
         self._register(implied, score_roughly)
         self._close_loops()
 
+    def follow_poses(self, poses: Mapping[DriveView, RigidTransform], known: Collection[frozenset[DriveView]]) -> None:
+        """Register pairs of views from their poses, all that beams agree with but the known ones."""
+        of_label = self.of_label
+        implied: dict[PairKey, RigidTransform] = {}
+        for pair in self.between_stops:
+            target, source = (of_label[label] for label in pair)
+            if frozenset((target, source)) in known or not {target, source} <= poses.keys():
+                continue
+            if poses[target].target == poses[source].target:
+                implied[pair] = poses[target].inverse() @ poses[source]
+        if not implied or self._is_late(implied):
+            return
+        self._share()
+        self.loops_per_view = len(of_label)
+        self._register(implied, score_roughly, least_evidence(self.config))
+
     def _share(self) -> dict[DriveView, PreparedLidar]:
         self.levels = levels_of(self.stops, self.config)
         views = prepare_views(self.stops, self.levels, self.config)
@@ -238,11 +285,14 @@ class _LinkSearch:
         }
 
     def _register(
-        self, implied: Mapping[PairKey, RigidTransform], score: Callable[[Shared, RigidTransform], Registration]
+        self,
+        implied: Mapping[PairKey, RigidTransform],
+        score: Callable[[Shared, RigidTransform], Registration],
+        least: float | None = None,
     ) -> set[PairKey]:
         """Register the most promising pairs from their poses; return the others that have enough evidence."""
         scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
-        least = self.config.acceptance.min_evidence
+        least = self.config.acceptance.min_evidence if least is None else least
         chosen = choose_loops(scores, least, self.loops_per_view)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):

@@ -99,6 +99,11 @@ def contradiction_at(
     return ""
 
 
+def least_evidence(config: CalibrationConfig) -> float:
+    """Return the evidence that a link needs where others tell its pose."""
+    return config.acceptance.min_evidence - _WEAKER * config.acceptance.min_log_odds_margin
+
+
 def _to_level(lidar: str, levels: Mapping[str, RigidTransform]) -> FloatArray:
     """Return the rotation (3, 3) from the frame of a LiDAR to one with z up, the identity if it sees no ground."""
     return levels[lidar].rotation if lidar in levels else np.eye(3)
@@ -131,10 +136,7 @@ def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
 
 def _limits(view: DriveView, config: CalibrationConfig) -> CalibrationConfig:
     """Return the configuration with the limits of links, also of weak ones, and with the sigmas of the LiDAR."""
-    limits = {
-        "max_baseline_m": config.drive.max_distance_m,
-        "min_evidence": config.acceptance.min_evidence - _WEAKER * config.acceptance.min_log_odds_margin,
-    }
+    limits = {"max_baseline_m": config.drive.max_distance_m, "min_evidence": least_evidence(config)}
     acceptance = config.acceptance.model_copy(update=limits)
     sigmas_m = config.refine.range_bias_sigmas_m
     own = {view.label: sigmas_m[view.lidar]} if view.lidar in sigmas_m else {}

@@ -10,6 +10,9 @@ from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.registration.poses import moved
 from multilica.results import DriveView, IndexArray, ViewPair
 
+UNKNOWN = np.repeat([3.0, 30.0], 3)
+"""(6,) standard deviations of a pose that nothing determines: rotation (rad), translation (m)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewPoses:

@@ -17,7 +17,7 @@ from multilica.registration.sensor_biases import (
     prior_sigmas,
     ring_sigmas,
 )
-from multilica.registration.view_poses import ViewPoses
+from multilica.registration.view_poses import UNKNOWN, ViewPoses
 from multilica.results import (
     IndexArray,
     LinkedStops,
@@ -259,6 +259,10 @@ def _normal_equations(pairs: Sequence[ViewPair], state: _State, config: RefineCo
         total.gradient[columns] += weight * own.gradient
         total.spread[square] += weight**2 * own.spread
         total.random_spread[square] += weight**2 * own.random_spread
+    if any(pair.is_link for pair in pairs):
+        known = np.resize(UNKNOWN, of_poses) ** -2.0  # links may leave poses open
+        for matrix in (total.information, total.spread, total.random_spread):
+            matrix[np.arange(of_poses), np.arange(of_poses)] += known
     return total
 
 

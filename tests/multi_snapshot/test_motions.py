@@ -171,7 +171,7 @@ def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
     def joined(*args):
         given.append(args[4:])
         pose, covariance = (None, None) if sigma_m is None else (LIDARS["B"], sigma_m**2 * np.eye(6))
-        placement = SimpleNamespace(T_target_source=pose, covariance=covariance)
+        placement = SimpleNamespace(T_target_source=pose, covariance=covariance, status="placed")
         return SimpleNamespace(placements=[placement], time_limit=None)
 
     stops = [name for name, _ in itertools.islice(STOPS.items(), 2)]
@@ -180,11 +180,9 @@ def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
     reads = []
     ways = {stops[1]: lambda: (reads.append(stops[1]), (motion,))[1]}
     alone = {name: partial(_alone, name) for name in stops}
-    monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks())
+    monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks(levels=LIDARS))
     monkeypatch.setattr(drive_calibration, "join", joined)
-    monkeypatch.setattr(
-        drive_calibration, "follow_motions", lambda *args: replace(args[3], motions=args[4](), levels=LIDARS)
-    )
+    monkeypatch.setattr(drive_calibration, "follow_motions", lambda *args: replace(args[3], motions=args[4]()))
     drive_calibration.calibrate_jointly(alone, CalibrationConfig(), Workers(), np.inf, ways)
     assert reads == (stops[1:] if is_open else [])
     assert len(given) == 1 + is_open

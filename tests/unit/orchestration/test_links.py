@@ -119,7 +119,8 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
     pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6), verdict=made)
     motion = ViewPair(pose, "stop 1", "stop 2")
     rear = ViewPair(replace(pose, target="rear", source="rear"), "stop 1", "stop 2")
-    found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks((rear,)), lambda: [motion])
+    before = links.FoundLinks((rear,), levels={"front": here})
+    found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), before, lambda: [motion])
     assert [(link.target.label, link.source.label) for link in found.links] == [
         ("rear at stop 1", "rear at stop 2"),
         ("front at stop 1", "front at stop 2"),
@@ -128,6 +129,65 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
     assert np.array_equal(asked[0].matrix, here.matrix)
     assert found.motions == [motion]
     assert found.levels == {"front": here}
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """Register what is scored with made outcomes: an evidence of 9 for the front LiDAR, of 0.5 for others."""
+
+    def made(_, start):
+        pose = start.T_target_source
+        fitness = 9.0 if "front" in pose.target and "front" in pose.source else 0.5
+        return PairRegistration(
+            pose.target,
+            pose.source,
+            pose,
+            fitness,
+            0.1,
+            99,
+            None,
+            None,
+            "",
+            information=np.eye(6),
+            verdict=Verdict("accept"),
+        )
+
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "score_roughly", lambda *_: SimpleNamespace(evidence=0.5))
+    monkeypatch.setattr(links, "register_implied", made)
+
+
+def _poses(*views, target="stop 1"):
+    """Poses of views that are 1 m apart."""
+    return {
+        view: RigidTransform.from_xyz_rpy(target, view.label, [float(number), 0.0, 0.0], [0.0, 0.0, 0.0])
+        for number, view in enumerate(views)
+    }
+
+
+@pytest.mark.usefixtures("registered")
+def test_views_are_linked_from_their_poses():
+    """Links with little evidence are weak ones, and known links stay as they are."""
+    poses = _poses(*_VIEWS)
+    first = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), poses)
+    assert [link.views for link in first.links] == [{_FRONT, DriveView("front", "stop 2")}]
+    assert len(first.weak) == 3
+    (link,) = first.links
+    assert link.registration.T_target_source.xyz_m == pytest.approx([2.0, 0.0, 0.0])
+    known = links.FoundLinks(first.weak[:1], first.weak)
+    again = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), known, poses)
+    assert again.links[0] is first.weak[0]
+    assert {link.views for link in again.links} == {first.weak[0].views, link.views}
+    assert {link.views for link in again.weak} == {each.views for each in first.weak[1:]}
+
+
+@pytest.mark.usefixtures("registered")
+def test_views_without_a_common_target_are_not_linked():
+    poses = _poses(_FRONT) | _poses(DriveView("front", "stop 2"), target="stop 2")
+    nothing = links.FoundLinks()
+    found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), nothing, poses)
+    assert (found.links, found.weak) == ((), ())
 
 
 def test_nothing_is_registered_after_the_time_limit(monkeypatch):
