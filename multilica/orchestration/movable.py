@@ -16,6 +16,7 @@ from multilica.registration.gicp import GicpCloud
 from multilica.registration.movable import MovableCells, find_movable
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import BoolArray, PairRegistration, connected
+from multilica.results.hypotheses import REPEATED
 from multilica.stages.ground import estimate_level
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
@@ -23,6 +24,8 @@ from multilica.workers import Shared
 _NONE_M = np.empty((0, 3))
 # In places where nothing moves, edges are a quarter of a percent of the returns.
 _MOVING_SHARE = 0.005
+# Margins of log-odds that cars at another place cost a pose.
+_SURE_LEAD = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +71,34 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
         covariances[name] = of_fixed.covariances[name] + (0.0 if moved else np.outer(off, off))
         if held := held_by_movable(rig.covariances[name], covariances[name], state.config.acceptance, moved=moved):
             state.held = {**state.held, name: held}
+            if not moved and (elsewhere := _repetition_of(name, used, rig.poses, state.config)) is not None:
+                covariances[name] = covariances[name] + np.outer(elsewhere, elsewhere)
     state.fixed_pairs = {
         (pair.target, pair.source): pair for pair in fixed.values() if moved or pair.lidars & {*state.held}
     }
     return replace(after, covariances=covariances)
+
+
+def _repetition_of(
+    name: str, used: Sequence[PairRegistration], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> FloatArray | None:
+    """Return the offset (6,) to the place where the scene of a LiDAR repeats, if objects that moved may hide that.
+
+    Cars that stood elsewhere when the other LiDAR measured speak against the true pose, and leave one a period away
+    with the most evidence. More than one pair of the LiDAR tells them apart.
+    """
+    own = [pair for pair in used if name in pair.lidars]
+    if len(own) != 1 or len(own[0].registrations) < 2:
+        return None
+    pair, (best, *others) = own[0], own[0].registrations
+    other = min(others, key=best.lead_over)
+    if not any(each.derivation.startswith(REPEATED) for each in (best, other)):
+        return None
+    if best.lead_over(other) > _SURE_LEAD * config.acceptance.min_log_odds_margin:
+        return None
+    there = other.T_target_source.with_target(pair.target)
+    pose = poses[pair.target] @ there if name == pair.source else poses[pair.source] @ there.inverse()
+    return pose.offset_from(poses[name])
 
 
 def _moving_points(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> FloatArray:
