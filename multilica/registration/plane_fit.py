@@ -39,7 +39,7 @@ _PATCH_M = 1.0
 # Patches of one surface are not independent either, measured on simulated vehicles: their sums count so much more.
 _OF_PATCHES = 0.4
 # A plane is not known better: it is of one material, whose reflectivity changes a range by millimetres.
-_PLANE_SIGMA_M = 0.0011
+_PLANE_SIGMA_M = 0.0009
 # The variance of a direction that n surfaces constrain is larger by this over n.
 _OF_FEW = 1.0
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.

@@ -32,8 +32,8 @@ _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
 # A rig has few LiDARs, which show little of the share of what their datasheets allow. So much more does the prior of
 # their biases add to the variance of a pose, measured on simulated vehicles.
 _OF_FEW_LIDARS = 1.5
-# Steps and reflectivities leave an error of this size in the mean of a LiDAR's ranges: no position is known better.
-_LEAST_SIGMA_M = 0.00035
+# Steps of ranges and reflectivities of one scene leave an error of this size: no position is known better from there.
+_SCENE_SIGMA_M = 0.0005
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
 _SWEEPS = 3
 # The unknowns of a pose that are lengths.
@@ -145,6 +145,7 @@ def posterior(
     rings: Sequence[int] = (),
     prior: BiasPrior | None = None,
     begin: BiasPrior | None = None,
+    scenes: Sequence[int] = (),
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
@@ -164,6 +165,7 @@ def posterior(
         rings: number of rings of each LiDAR, in the order in which their biases end the others.
         prior: of an earlier step; None: found from these data.
         begin: prior of an earlier step, where the search for that of these data begins.
+        scenes: that show each pose of six unknowns; empty: one.
     """
     size, poses = len(gradient), len(gradient) - len(biases)
     shown = size - RING_BIAS_COUNT * sum(rings)
@@ -180,7 +182,8 @@ def posterior(
     bread = solved[:, 1:].T
     full = bread @ ((information if spread is None else spread) + known) @ bread.T
     repeated = full if random_spread is None else bread @ random_spread @ bread.T
-    covariance = full[:poses, :poses] + _LEAST_SIGMA_M**2 * np.diag(np.resize(_POSITION, poses))
+    of_scenes = np.resize(_POSITION, poses) / (np.repeat(scenes, len(_POSITION)) if scenes else 1.0)
+    covariance = full[:poses, :poses] + _SCENE_SIGMA_M**2 * np.diag(of_scenes)
     bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: shown - poses])
     return BiasPosterior(solved[:, 0], covariance, repeated[:poses, :poses], bias_sigmas, prior)
 

@@ -105,6 +105,7 @@ def refine(
     counts = [len(numbers) for numbers in rings.values()]
     state = _State(ViewPoses(dict(poses), stops, free, free_stops), np.zeros(len(sigmas)), rings)
     before = [state.views.offset(pair) for pair in used]
+    scenes = [_scenes_of(name, used_pairs) for name in free] + [1] * len(free_stops)
     prior = None
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used, state, config)
@@ -117,6 +118,7 @@ def refine(
             equations.random_spread,
             counts,
             prior,
+            scenes=scenes,
         )
         state = state.moved(known.step)
         longest = np.abs(known.step).max()
@@ -222,6 +224,12 @@ def _squared(pair: ViewPair, state: _State) -> float:
     """Return the squared Mahalanobis distance of the poses from the pair, by its covariance with biases and all."""
     offset = state.views.offset(pair)
     return float(offset @ pair.registration.information @ offset)  # type: ignore[operator]
+
+
+def _scenes_of(lidar: str, pairs: Sequence[PairRegistration]) -> int:
+    """Return the number of snapshots whose pairs show a LiDAR; the stops of a drive show one place."""
+    counts = Counter(pair.lidars for pair in pairs if lidar in pair.lidars)
+    return max(counts.values(), default=1)
 
 
 def _sizes(residual: FloatArray) -> tuple[float, float]:

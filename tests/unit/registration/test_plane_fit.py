@@ -106,7 +106,7 @@ def test_bushes_do_not_pull_the_fit():
     source = _cloud("s", np.concatenate([source.points_m, bush_m]))
     found, unbiased = (fit_planes(target, source, _nudged([0.02, 0.0, 0.0]), each) for each in (_SIGMAS, _UNBIASED))
     assert unbiased.pose.distance_to(_HERE)[0] < 0.002
-    assert found.pose.distance_to(_HERE)[0] < 0.015
+    assert found.pose.distance_to(_HERE)[0] < 0.018
     assert _squared_error(found) < 20.0
 
 

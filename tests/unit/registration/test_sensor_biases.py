@@ -93,7 +93,7 @@ def one_kind(monkeypatch):
 def as_drawn(monkeypatch):
     """Leave out what counts more because a rig has few LiDARs, and the least error of a position."""
     monkeypatch.setattr(sensor_biases, "_OF_FEW_LIDARS", 0.0)
-    monkeypatch.setattr(sensor_biases, "_LEAST_SIGMA_M", 0.0)
+    monkeypatch.setattr(sensor_biases, "_SCENE_SIGMA_M", 0.0)
 
 
 @pytest.mark.usefixtures("many_shares", "as_drawn")
@@ -193,10 +193,14 @@ def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
 
 
 def test_no_position_is_known_better_than_ranges_allow():
-    """A third of a millimetre in translation, none in rotation, and no part of it is random."""
+    """Half a millimetre in translation from one scene, none in rotation, and no part of it is random."""
     information = np.diag([*np.full(12, 1e16), *np.ones(BIAS_COUNT)])
-    found = posterior(information, np.zeros(12 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS)
-    expected = np.tile([0.0, 0.0, 0.0, 3.5e-4, 3.5e-4, 3.5e-4], 2)
+    found = posterior(information, np.zeros(12 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS, scenes=[1, 4])
+    expected = [*np.repeat([0.0, 5e-4], 3), *np.repeat([0.0, 2.5e-4], 3)]
+    assert np.array_equal(
+        found.covariance[:6, :6],
+        posterior(information, np.zeros(12 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS).covariance[:6, :6],
+    )
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), expected, rtol=1e-6, atol=2e-8)
     np.testing.assert_allclose(np.sqrt(np.diag(found.repeatability)), np.full(12, 1e-8), rtol=1e-3)
 
