@@ -14,6 +14,8 @@ from multilica.results import PairRegistration, Reason, Registration, Stability,
 from multilica.results.hypotheses import REPEATED
 from multilica.results.visibility_score import DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
 
+# No match of features led to a turned, repeated or slid pose: it is one of six or so, any of which may fit by chance.
+_OF_DERIVED = log(6.0)
 # A competing pose with the same attitude, this much of whose offset lies along the slide, is the end of a slide.
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
@@ -35,8 +37,9 @@ def accept(registrations: Sequence[Registration], config: AcceptanceConfig) -> V
     """
     best = registrations[0]
     distance_m = float(np.linalg.norm(best.T_target_source.xyz_m))
-    if best.evidence < config.min_evidence or distance_m > config.max_baseline_m:
-        return Verdict("reject", _weaknesses(best, distance_m, config))
+    least = config.min_evidence + (_OF_DERIVED if best.is_derived else 0.0)
+    if best.evidence < least or distance_m > config.max_baseline_m:
+        return Verdict("reject", _weaknesses(best, distance_m, least, config))
     doubts = (_slide(best, config), _competition(registrations, config))
     # Both may describe the same slide.
     reasons = {reason.code: reason for reason in reversed(doubts) if reason is not None}
@@ -104,7 +107,9 @@ def slides(found: Stability, config: AcceptanceConfig) -> bool:
     return max(found.perturbed_offset_m, found.thinned_offset_m) > config.max_perturbed_offset_m
 
 
-def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig) -> tuple[Reason, ...]:
+def _weaknesses(
+    best: Registration, distance_m: float, min_evidence: float, config: AcceptanceConfig
+) -> tuple[Reason, ...]:
     """Return what costs a refused pose most, against the figures of usual true poses, the worst first."""
     score = best.visibility
     losses = {
@@ -122,12 +127,12 @@ def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig)
         "structure_unexplained": f"{hidden} of {seen} points on walls and objects in view of both would be hidden",
         "too_far_apart": f"the LiDARs would be {distance_m:.1f} m apart",
     }
-    odds = f"(evidence {best.evidence:z.1f}, limit {config.min_evidence:g})"
+    odds = f"(evidence {best.evidence:z.1f}, limit {min_evidence:.2g})"
     if distance_m > config.max_baseline_m:
         limit = f"limit {config.max_baseline_m:g} m (acceptance.max_baseline_m)"
         return (Reason("too_far_apart", distance_m, config.max_baseline_m, f"{texts['too_far_apart']}, {limit}"),)
     return tuple(
-        Reason(code, best.evidence, config.min_evidence, f"{texts[code]} {odds}")
+        Reason(code, best.evidence, min_evidence, f"{texts[code]} {odds}")
         for code in sorted(losses, key=lambda code: -losses[code])
         if losses[code] >= 0.5 * worst
     )

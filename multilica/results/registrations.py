@@ -72,6 +72,11 @@ class Registration:
         """Log-odds that the pose is the true one; see `VisibilityScore.evidence`."""
         return self.visibility.evidence(float(np.linalg.norm(self.T_target_source.xyz_m)))
 
+    @property
+    def is_derived(self) -> bool:
+        """Whether it was turned, repeated or slid from the pose of a hypothesis of matches."""
+        return bool(self.derivation) and self.hypothesis >= 0
+
     def lead_over(self, other: "Registration") -> float:
         """Return the log-odds that this pose is the true one and not another pose of the pair."""
         return self.evidence - other.evidence_beside(self)

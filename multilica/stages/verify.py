@@ -221,6 +221,8 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
     same = [other for other in found if not is_distinct(further.T_target_source, [other.T_target_source])]
     if any(other.evidence >= further.evidence for other in same):
         return list(found)
+    if any(not other.derivation for other in same):
+        further = replace(further, derivation="")
     return [further, *(other for other in found if other not in same)]
 
 

@@ -73,6 +73,19 @@ def test_a_pose_with_too_little_evidence_names_its_weakness(weak, code, text):
     assert reason.text.endswith(f"(evidence {weak.evidence:z.1f}, limit 2.3)")
 
 
+@pytest.mark.parametrize("derivation", ["turned by 180 deg", "repeated after 7.5 m", "slid by +2 m"])
+def test_a_derived_pose_needs_more_evidence(derivation):
+    """It is one of several that were tried; a pose that other pairs imply is the only one."""
+    found = _registration(distinctive=60)
+    assert _CONFIG.min_evidence < found.evidence < _CONFIG.min_evidence + np.log(6.0)
+    assert _accept(found).accepted
+    verdict = _accept(replace(found, derivation=derivation))
+    assert (verdict.outcome, verdict.codes) == ("reject", ("too_little_evidence",))
+    assert verdict.text.endswith("limit 4.1)")
+    assert _accept(replace(found, derivation="a-b-c", hypothesis=-1)).accepted
+    assert _accept(replace(_registration(), derivation=derivation)).accepted
+
+
 def test_the_worst_weakness_is_first_slight_ones_are_left_out():
     assert _accept(_registration(distinctive=20, violate=8)).codes == ("empty_space_violated", "too_little_evidence")
     assert _accept(_registration(distinctive=20, violate=300)).codes == ("empty_space_violated",)

@@ -13,6 +13,7 @@ from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
 from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
+from tests.unit.made_pairs import registration
 from tests.unit.made_rooms import HALL, box, scan
 
 _LIMITS = AcceptanceConfig()
@@ -340,3 +341,13 @@ def test_the_short_gicp_is_coarse_and_by_small_gicp():
     # It ends well within its grid, at 10 m too.
     assert 10.0 * max(gicp.translation_epsilon_m, 10.0 * gicp.rotation_epsilon_rad) < gicp.voxel_size_m
     assert list(gicp.max_correspondence_distances_m) == sorted(gicp.max_correspondence_distances_m, reverse=True)
+
+
+@pytest.mark.parametrize("derivation", ["", "slid by +1 m"])
+def test_a_pose_that_matches_led_to_stays_one_when_a_derived_one_ends_there(derivation):
+    known = replace(registration(_TRUTH), derivation=derivation)
+    better = registration(_TRUTH)
+    better = replace(better, derivation="turned by 180 deg", visibility=replace(better.visibility, agree=400))
+    (found,) = verify._joined([known], better)
+    assert found.evidence == better.evidence > known.evidence
+    assert found.derivation == (derivation and better.derivation)
