@@ -74,7 +74,7 @@ class Registration:
 
     @property
     def is_derived(self) -> bool:
-        """Whether it was turned, repeated or slid from the pose of a hypothesis of matches."""
+        """True if it was turned, repeated or slid from the pose of a hypothesis of matches."""
         return bool(self.derivation) and self.hypothesis >= 0
 
     def lead_over(self, other: "Registration") -> float:

@@ -344,7 +344,7 @@ def test_the_short_gicp_is_coarse_and_by_small_gicp():
 
 
 @pytest.mark.parametrize("derivation", ["", "slid by +1 m"])
-def test_a_pose_that_matches_led_to_stays_one_when_a_derived_one_ends_there(derivation):
+def test_a_derived_pose_at_one_of_matches_counts_as_that(derivation):
     known = replace(registration(_TRUTH), derivation=derivation)
     better = registration(_TRUTH)
     better = replace(better, derivation="turned by 180 deg", visibility=replace(better.visibility, agree=400))
