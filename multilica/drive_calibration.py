@@ -153,9 +153,11 @@ def _link(
             found = replace(found, links=(*found.links, *confirmed))
             result = joined(found)
         if any(each.status == "uncertain" for each in result.placements):
+            before = len(found.links)
             found = follow_poses(stops, config, workers, found, _view_poses(result), deadline_s)
             found = replace(found, links=(*found.links, *_confirmed(stops, found, result)))
-            result = joined(found)
+            if len(found.links) > before:
+                result = joined(found)
         if any(_is_open(each) for each in result.placements):
             found = follow_motions(stops, config, workers, found, read_motions, deadline_s)
             if found.motions:

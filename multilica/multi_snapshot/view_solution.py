@@ -217,7 +217,7 @@ def _started(
 
 
 def _fits(lidar: str, starts: Sequence[ViewSolution]) -> list[ViewSolution]:
-    """Fit all pairs from each start: roughly first, then those that differ and fit."""
+    """Fit all pairs from each start: roughly first, then the starts whose rough fit is good."""
     found: list[ViewSolution] = []
     for start in starts:
         rough = _fit(start, _ROUGHLY[0])
