@@ -19,6 +19,9 @@ _OF_DERIVED = log(6.0)
 # A competing pose with the same attitude, this much of whose offset lies along the slide, is the end of a slide.
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
+# Points that pin a pose along its weakest direction: one point pins it to about 10 mm, so fewer than a tenth of one to
+# 30 mm at best. One of 966 accepted pairs had fewer.
+_LEAST_INFORMATION = 0.1
 # The fine registration changes the evidence of a rough one by less.
 _ROUGH_MARGIN = 2.0
 # The fine registration does not bring poses together that are farther apart, in metres or radians.
@@ -163,15 +166,26 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
 
 def _slide(best: Registration, config: AcceptanceConfig) -> Reason | None:
     found = best.stability
-    if found is None or not slides(found, config):
+    if found is None:
         return None
+    direction = _axis_text(best.visibility.weakest_direction, best.T_target_source.target)
+    if not slides(found, config):
+        return _unfounded(best, found, direction, config)
     text = f"with fewer points it ends {found.thinned_offset_m:.2f} m away"
     if found.perturbed_offset_m > config.max_perturbed_offset_m:
         text = f"perturbed by {found.perturbation_m:g} m it ends {found.perturbed_offset_m:.2f} m away"
     off_m = max(found.perturbed_offset_m, found.thinned_offset_m)
-    direction = _axis_text(best.visibility.weakest_direction, best.T_target_source.target)
     text = f"the scene does not constrain the pose {direction} ({text}, limit {config.max_perturbed_offset_m:g} m)"
     return Reason("not_observable", off_m, config.max_perturbed_offset_m, text)
+
+
+def _unfounded(best: Registration, found: Stability, direction: str, config: AcceptanceConfig) -> Reason | None:
+    """Return a reason if the pose seems precise in a direction that hardly a point constrains: it fits by chance."""
+    information = best.visibility.min_information_eigenvalue
+    if information >= _LEAST_INFORMATION or imprecision(found.sigma_m, found.sigma_rad, config) is not None:
+        return None
+    text = f"the scene does not constrain the pose {direction}: it holds by {information:.2f} points there"
+    return Reason("not_observable", information, _LEAST_INFORMATION, f"{text} (limit {_LEAST_INFORMATION:g})")
 
 
 def _axis_text(motion: FloatArray, target: str) -> str:
