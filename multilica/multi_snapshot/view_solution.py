@@ -8,14 +8,13 @@ import numpy as np
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, rotation_vector
+from multilica.multi_snapshot.pair_equations import LARGEST_RESIDUAL, PairEquations
 from multilica.registration.poses import is_distinct
 from multilica.registration.view_poses import UNKNOWN, ViewPoses
 from multilica.results import DriveView, LinkedStops, PairRegistration, Verdict, ViewPair
 
 _ITERATIONS = 40
 _EPSILON = 1e-6
-LARGEST_RESIDUAL = 6.0 * 3.0**2
-"""Squared residuals beyond this, of 6 degrees of freedom, lose weight (Cauchy)."""
 # From afar, links that are certain to a millimetre lead to the nearest of many wrong minima: at first they count less.
 _ROUGHLY = tuple(np.diag(np.repeat([np.deg2rad(10.0 * each) ** 2, each**2], 3)) for each in (1.0, 0.1))
 # The rough fit of the true poses is better than this, per pair.
@@ -81,7 +80,8 @@ class ViewSolution:
         if link not in self.pairs:
             return False
         jacobian, columns = self.poses.jacobian(link)
-        _, information, _ = _equations(self.poses, [pair for pair in (*self.pairs, *self.grounds) if pair is not link])
+        others = [pair for pair in (*self.pairs, *self.grounds) if pair is not link]
+        information = PairEquations.of(self.poses, others).at(self.poses).information
         inverse = np.linalg.inv(information + _prior(len(information)))
         scale = np.repeat([LEVER_ARM_M, 1.0], 3)
         covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
@@ -235,9 +235,9 @@ def _fit(start: ViewSolution, error: FloatArray | None = None) -> ViewSolution:
     Args:
         error: covariance (6, 6) that each pair has besides its own.
     """
-    pairs = [*start.pairs, *start.grounds]
     poses = start.poses
-    squared, information, gradient = _equations(poses, pairs, error)
+    equations = PairEquations.of(poses, [*start.pairs, *start.grounds], error)
+    squared, information, gradient = equations.at(poses)
     damping, least_gain = 1e-3, _LEAST_GAIN if error is None else _LEAST_ROUGH_GAIN
     for _ in range(_ITERATIONS):
         if not poses.columns:
@@ -245,41 +245,18 @@ def _fit(start: ViewSolution, error: FloatArray | None = None) -> ViewSolution:
         system = information + _prior(poses.columns)
         step = np.asarray(np.linalg.solve(system + damping * np.diag(np.diag(system)), -gradient), dtype=np.float64)
         further = poses.moved(step)
-        after = _equations(further, pairs, error)
-        if after[0] > squared:
+        after = equations.at(further)
+        if after.squared > squared:
             damping *= 10.0
             if damping > 1e6:
                 break
             continue
-        is_settled = squared - after[0] < least_gain * squared
+        is_settled = squared - after.squared < least_gain * squared
         poses, damping = further, damping / 4.0
         squared, information, gradient = after
         if is_settled or np.abs(step).max() < _EPSILON:
             break
     return replace(start, poses=poses, squared=squared, information=information)
-
-
-def _equations(
-    poses: ViewPoses, pairs: Sequence[ViewPair], error: FloatArray | None = None
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the sum of the squared residuals, the information (N, N) and the gradient (N,), with robust weights.
-
-    Args:
-        error: covariance (6, 6) that each pair has besides its own.
-    """
-    information, gradient = np.zeros((poses.columns, poses.columns)), np.zeros(poses.columns)
-    total = 0.0
-    for pair in pairs:
-        offset, weights = poses.offset(pair), np.asarray(pair.registration.information)
-        if error is not None:
-            weights = weights @ np.linalg.inv(np.eye(6) + error @ weights)
-        squared = float(offset @ weights @ offset)
-        weight = 1.0 / (1.0 + squared / LARGEST_RESIDUAL)
-        total += LARGEST_RESIDUAL * float(np.log1p(squared / LARGEST_RESIDUAL))
-        jacobian, columns = poses.jacobian(pair)
-        information[np.ix_(columns, columns)] += weight * jacobian.T @ weights @ jacobian
-        gradient[columns] += weight * jacobian.T @ weights @ offset
-    return total, information, gradient
 
 
 def _prior(columns: int) -> FloatArray:

@@ -6,7 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from multilica.multi_snapshot.view_solution import LARGEST_RESIDUAL, ViewSolution, solve_views
+from multilica.multi_snapshot.pair_equations import LARGEST_RESIDUAL
+from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
 from multilica.results import ViewPair
 
 # Narrow views of few stops need two more links at most. Each of the likeliest is tried with each, which takes seconds.
