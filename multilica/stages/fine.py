@@ -16,13 +16,14 @@ from multilica.acceptance.accept import (
 )
 from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
-from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, fitness_and_rmse, prepare_gicp_cloud, register
 from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_information
-from multilica.registration.poses import arc_between_m, is_distinct, moved, slid_hypotheses, within_baseline
+from multilica.registration.poses import arc_between_m, is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.sensor_biases import prior_sigmas
+from multilica.registration.stability import check_stability, perturbed_ends
 from multilica.registration.widening import widened, widened_with_biases
-from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
+from multilica.results import Hypothesis, PairRegistration, Registration, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.plans import alike_hypotheses
 from multilica.visibility.sensor_view import (
@@ -322,44 +323,3 @@ class _Pair:
     def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
         scored = score_registration(found, hypothesis, self.target.views, self.source.views, *FINE_TOLERANCES)
         return replace(found, registrations=(scored,))
-
-
-def perturbed_ends(
-    clouds: tuple[GicpCloud, GicpCloud],
-    pose: RigidTransform,
-    weakest_direction: FloatArray,
-    perturbation_m: float,
-    fine: FineConfig,
-) -> tuple[RigidTransform, RigidTransform]:
-    """Register target and source from both sides of the pose, perturbed along `VisibilityScore.weakest_direction`."""
-    pushes = (side * perturbation_m * weakest_direction for side in (-1.0, 1.0))
-    starts = (moved(pose, push[:3] / LEVER_ARM_M, push[3:]) for push in pushes)
-    back, forth = (register(*clouds, start, fine).T_target_source for start in starts)
-    return back, forth
-
-
-def check_stability(
-    thinned: tuple[GicpCloud, GicpCloud] | None,
-    pose: RigidTransform,
-    information: FloatArray | None,
-    ends: tuple[RigidTransform, RigidTransform],
-    perturbation_m: float,
-    fine: FineConfig,
-) -> Stability:
-    """Measure the motion of a registered pose after a perturbation, and with fewer points.
-
-    Along a tunnel a registration stays at the perturbed pose. A chance fit of ground and shrubs depends on single
-    points. A well constrained pose returns to within a fraction of a millimetre.
-
-    Args:
-        thinned: target and source with fewer points; None where they have few anyway.
-        pose: where GICP ended.
-        ends: of `perturbed_ends` for that pose.
-    """
-    of_fewer = pose if thinned is None else register(*thinned, pose, fine).T_target_source
-    return Stability(
-        *weakest_sigmas(information),
-        perturbation_m,
-        perturbed_offset_m=max(arc_between_m(pose, end) for end in ends),
-        thinned_offset_m=arc_between_m(pose, of_fewer),
-    )

@@ -9,10 +9,10 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.sensor_biases import prior_sigmas
+from multilica.registration.stability import check_stability, perturbed_ends
 from multilica.registration.widening import loosened, widened
 from multilica.results import BiasInformation
 from multilica.results.registrations import weakest_sigmas
-from multilica.stages.fine import check_stability, perturbed_ends
 from tests.unit.made_pairs import pair
 from tests.unit.made_rooms import HALL, box, scan
 
