@@ -33,7 +33,7 @@ _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
 # their biases add to the variance of a pose, measured on simulated vehicles.
 _OF_FEW_LIDARS = 1.5
 # Steps of ranges and reflectivities of one scene leave an error of this size: no position is known better from there.
-_SCENE_SIGMA_M = 0.00065
+_SCENE_SIGMA_M = 0.0007
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
 _SWEEPS = 3
 # The unknowns of a pose that are lengths.

@@ -193,10 +193,10 @@ def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
 
 
 def test_no_position_is_known_better_than_ranges_allow():
-    """0.65 mm in translation from one scene, none in rotation, and no part of it is random."""
+    """0.7 mm in translation from one scene, none in rotation, and no part of it is random."""
     information = np.diag([*np.full(12, 1e16), *np.ones(BIAS_COUNT)])
     found = posterior(information, np.zeros(12 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS, scenes=[1, 4])
-    expected = [*np.repeat([0.0, 6.5e-4], 3), *np.repeat([0.0, 3.25e-4], 3)]
+    expected = [*np.repeat([0.0, 7e-4], 3), *np.repeat([0.0, 3.5e-4], 3)]
     assert np.array_equal(
         found.covariance[:6, :6],
         posterior(information, np.zeros(12 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS).covariance[:6, :6],
