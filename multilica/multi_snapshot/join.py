@@ -138,6 +138,7 @@ def join(
             looks_alike=alike,
             motions=motions,
             levels=levels,
+            max_baseline_m=config.acceptance.max_baseline_m,
         ),
     )
     if linked.conflicts or linked.knocks:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the links between stops that poses may rest on."""
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -20,7 +21,7 @@ from multilica.multi_snapshot.motions import (
 )
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import solve_views
-from multilica.registration.poses import is_distinct
+from multilica.registration.poses import is_distinct, is_near
 from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
 from multilica.results.registrations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
@@ -38,8 +39,8 @@ _OFF_COURSE = "the motion of the LiDARs between the stops contradicts it, so the
 
 
 @dataclass(frozen=True, slots=True)
-class BeamConflict:
-    """Two LiDARs whose pose beams contradict at a stop."""
+class RigConflict:
+    """Two LiDARs whose pose beams contradict at a stop, or that would not be on one vehicle: then without a stop."""
 
     target: str
     source: str
@@ -48,6 +49,8 @@ class BeamConflict:
     @property
     def text(self) -> str:
         """The conflict for people."""
+        if not self.stop:
+            return f"it puts {self.source} farther from {self.target} than acceptance.max_baseline_m allows"
         return f"it puts {self.source} where its beams and those of {self.target} contradict each other at {self.stop}"
 
 
@@ -59,7 +62,7 @@ class LinkedRig:
         links: that its poses rest on, as `rig.links` has their residuals.
         refused: per link that is not used, why.
         within: pairs within stops that its poses rest on.
-        conflicts: poses of LiDARs that beams contradicted.
+        conflicts: poses of LiDARs that cannot be.
         knocks: LiDARs that moved between stops; the stops on one side of that do not count for them.
         by_motions: poses of LiDARs that only their motions between the stops tell, or but for the ground.
         motions: all that were measured.
@@ -69,7 +72,7 @@ class LinkedRig:
     linked: LinkedStops
     refused: Mapping[ViewPair, str]
     within: Sequence[ViewPair]
-    conflicts: tuple[BeamConflict, ...]
+    conflicts: tuple[RigConflict, ...]
     knocks: tuple[Knock, ...]
     by_motions: Mapping[str, ToldPose] = field(default_factory=dict)
     motions: tuple[StopMotion, ...] = ()
@@ -101,6 +104,7 @@ def refine_linked(
     looks_alike: bool = False,
     motions: Sequence[ViewPair] = (),
     levels: Mapping[str, RigidTransform] = MappingProxyType({}),
+    max_baseline_m: float = math.inf,
 ) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
@@ -110,7 +114,8 @@ def refine_linked(
     differs by more than the covariances allow goes, the least probable first.
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
-    contradicts their beams at other stops, and no link of that drive counts.
+    contradicts their beams at other stops, and no link of that drive counts. Nor does one if links put two LiDARs
+    farther apart than any two of one vehicle are.
 
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
@@ -118,10 +123,11 @@ def refine_linked(
         motions: of LiDARs between stops by odometry. They refuse links, confirm others, and place LiDARs that nothing
             else places; poses that rest on links and pairs do not depend on them.
         levels: poses of LiDARs over the ground.
+        max_baseline_m: as `acceptance.max_baseline_m`.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
-    contradicted: list[BeamConflict] = []
+    contradicted: list[RigConflict] = []
     knocks: list[Knock] = []
     moved = {*inconsistent}
     refused.update((link, _ELSEWHERE) for link in links if link.views & moved)
@@ -153,8 +159,8 @@ def refine_linked(
         rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
-            against = _contradicted(rig, within, contradiction_at, moved) if links and contradiction_at else None
-            if against is None:
+            against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
+            if against is None or not links:
                 break
             if left:
                 refused.update(dict.fromkeys(left, against.text))
@@ -180,20 +186,28 @@ def refine_linked(
     )
 
 
-def _contradicted(
-    rig: RefinedRig, within: Sequence[ViewPair], contradiction_at: ContradictionAt, moved: Collection[DriveView]
-) -> BeamConflict | None:
-    """Find two LiDARs whose pose beams contradict at a stop where it was not registered, and none of them moved.
+def _conflict(
+    rig: RefinedRig,
+    within: Sequence[ViewPair],
+    contradiction_at: ContradictionAt | None,
+    moved: Collection[DriveView],
+    max_baseline_m: float,
+) -> RigConflict | None:
+    """Find two LiDARs that are too far apart, or whose pose beams contradict.
 
-    Poses that are not determined prove nothing.
+    The beams count at stops where the pose was not registered, and none of the two moved. Poses that are not determined
+    prove nothing.
     """
     told = [name for name in sorted(rig.poses) if name not in rig.covariances or _is_told(rig.covariances[name])]
     for target, source in combinations(told, 2):
+        pose = rig.poses[target].inverse() @ rig.poses[source]
+        if not is_near(pose, max_baseline_m):
+            return RigConflict(target, source, "")
         own = {pair.target_stop for pair in within if pair.registration.lidars == {target, source}}
         own |= {view.stop for view in moved if view.lidar in (target, source)}
-        stop = contradiction_at(rig.poses[target].inverse() @ rig.poses[source], own)
+        stop = "" if contradiction_at is None else contradiction_at(pose, own)
         if stop:
-            return BeamConflict(target, source, stop)
+            return RigConflict(target, source, stop)
     return None
 
 
@@ -202,7 +216,7 @@ def _is_told(covariance: FloatArray) -> bool:
     return max(sigma_m, LEVER_ARM_M * sigma_rad) < _TOLD_M
 
 
-def _without(within: Sequence[ViewPair], conflict: BeamConflict) -> list[ViewPair]:
+def _without(within: Sequence[ViewPair], conflict: RigConflict) -> list[ViewPair]:
     """Leave out the pairs that put two LiDARs where they cannot be: their own, else all that connect them."""
     ends = {conflict.target, conflict.source}
     kept = [pair for pair in within if pair.registration.lidars != ends]

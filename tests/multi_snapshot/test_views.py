@@ -225,6 +225,15 @@ def test_beams_of_another_stop_refuse_what_one_stop_tells():
     assert set(kept.rig.poses) == {"A", "B", "C"}
 
 
+def test_links_that_put_a_lidar_off_the_vehicle_do_not_count():
+    """Posts of a rail repeat, and links that agree with each other put a LiDAR 23 m off. Here it is 1.3 m from A."""
+    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    assert set(refine_linked("A", within, links, _CONFIG, max_baseline_m=1.5).rig.poses) == {"A", "B"}
+    found = refine_linked("A", within, links, _CONFIG, max_baseline_m=1.2)
+    assert set(found.rig.poses) == {"A"}
+    assert all("farther from A than" in link.reason for link in found.links)
+
+
 _EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"
 
 
