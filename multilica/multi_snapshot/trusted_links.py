@@ -159,8 +159,10 @@ def refine_linked(
         rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
-            against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
-            if against is None or not links:
+            against = (
+                _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf) if links else None
+            )
+            if against is None:
                 break
             if left:
                 refused.update(dict.fromkeys(left, against.text))
