@@ -184,7 +184,7 @@ def _unfounded(best: Registration, found: Stability, direction: str, config: Acc
     information = best.visibility.min_information_eigenvalue
     if information >= _LEAST_INFORMATION or imprecision(found.sigma_m, found.sigma_rad, config) is not None:
         return None
-    text = f"the scene does not constrain the pose {direction}: it holds by {information:.2f} points there"
+    text = f"the scene does not constrain the pose {direction}: only {information:.2f} points hold it there"
     return Reason("not_observable", information, _LEAST_INFORMATION, f"{text} (limit {_LEAST_INFORMATION:g})")
 
 

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from multilica.acceptance.view_graph import ViewGraph
-from multilica.config import RefineConfig
+from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot import SnapshotRun, join
 from multilica.multi_snapshot.knocks import find_knock
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
-from multilica.results import DriveView, LinkedStops
+from multilica.results import CalibrationResult, DriveView, LidarPlacement, LinkedStops
 from multilica.stages.refine import _Equations, _summed, refine
 from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
 from tests.selection import some_of
@@ -232,6 +233,16 @@ def test_links_that_put_a_lidar_off_the_vehicle_do_not_count():
     found = refine_linked("A", within, links, _CONFIG, max_baseline_m=1.2)
     assert set(found.rig.poses) == {"A"}
     assert all("farther from A than" in link.reason for link in found.links)
+
+
+@pytest.mark.parametrize(("max_baseline_m", "is_placed"), [(1.5, True), (1.2, False)])
+def test_the_joint_rig_keeps_the_largest_baseline(max_baseline_m, is_placed):
+    links = pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8))
+    alone = CalibrationResult("A", "", tuple(LidarPlacement(name, "nothing in common") for name in "AB"))
+    config = CalibrationConfig(target="A", acceptance={"max_baseline_m": max_baseline_m})
+    found = join([SnapshotRun(stop, alone) for stop in STOPS], config, links=links)["B"]
+    assert (found.T_target_source is not None) == is_placed
+    assert ("acceptance.max_baseline_m" in found.reason) is not is_placed
 
 
 _EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"

@@ -208,7 +208,7 @@ def test_a_precise_pose_needs_points_in_each_direction():
     verdict = _accept(_registration(weakest=0.04, stability=_STABLE))
     assert verdict.outcome == "undecided"
     assert verdict.codes == ("not_observable",)
-    assert verdict.text.endswith("constrain the pose about x of t: it holds by 0.04 points there (limit 0.1)")
+    assert verdict.text.endswith("constrain the pose about x of t: only 0.04 points hold it there (limit 0.1)")
     assert _accept(_registration(weakest=0.2, stability=_STABLE)).accepted
     assert _accept(_registration(weakest=0.04, stability=replace(_STABLE, sigma_m=0.03))).outcome == "uncertain"
 
