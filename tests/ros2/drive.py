@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A vehicle that drives on after every second look at it: ``drive.py STOP1.mcap STOP2.mcap ...``.
 
-A Python that has rclpy runs it. A look begins with a subscription to the first LiDAR.
+A Python that has rclpy runs it. A look ends when nobody listens any more, so that none sees two stops.
 """
 
 import sys
@@ -23,9 +23,9 @@ def main(*paths):
     print("ready", flush=True)
     looks, was_heard = 0, False
     while True:
-        is_heard = next(iter(publishers.values())).get_subscription_count() > 0
-        looks, was_heard = looks + (is_heard and not was_heard), is_heard
-        for topic, message in stops[min(max(0, looks - 1) // LOOKS, len(stops) - 1)]:
+        is_heard = any(publisher.get_subscription_count() > 0 for publisher in publishers.values())
+        looks, was_heard = looks + (was_heard and not is_heard), is_heard
+        for topic, message in stops[min(looks // LOOKS, len(stops) - 1)]:
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
             publishers[topic].publish(message)
         time.sleep(PERIOD_S)
