@@ -41,8 +41,8 @@ def register_from_known(
 ) -> CalibrationResult:
     """Register the LiDARs of a snapshot from their known poses.
 
-    GICP and the fit to planes start at the known poses of pairs that see the same, those with the most common points
-    first, until all LiDARs are linked. A LiDAR that moved by centimetres or degrees is followed to where it is now. If
+    The fit to planes starts at the known poses of pairs that see the same, those with the most common points first,
+    until all LiDARs are linked. A LiDAR that moved by centimetres or degrees is followed by GICP to where it is now. If
     one seems to have moved, objects that did, or could have, are left out as in a calibration.
 
     Args:
@@ -85,7 +85,7 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
             state.cut_short, state.not_reached = True, tuple(sorted(left))
             break
         target, source = (state.lidars[name].side for name in pair)
-        found.append(register_sides(target, source, [Hypothesis(poses[pair])], config))
+        found.append(register_sides(target, source, [Hypothesis(poses[pair])], config, is_known=True))
         if found[-1].verdict.outcome in ("accept", "uncertain") and found[-1].information is not None:
             accepted.append(found[-1])
     graph = PairGraph.of(names, accepted)

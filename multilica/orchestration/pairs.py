@@ -236,9 +236,10 @@ def register_sides(
     config: CalibrationConfig,
     *,
     fit: bool = True,
+    is_known: bool = False,
 ) -> PairRegistration:
     """Register two sides as `register_best` does, with a verdict."""
-    found = register_best(target, source, hypotheses, config, fit=fit)
+    found = register_best(target, source, hypotheses, config, fit=fit, is_known=is_known)
     if found.registrations:
         return replace(found, verdict=accept(found.registrations, config.acceptance))
     return replace(found, verdict=accept_by_fitness(found, config.merge))

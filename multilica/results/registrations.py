@@ -36,9 +36,9 @@ class Registration:
     Args:
         hypothesis: index of the pair's hypothesis that it started from; -1 if the pose came from other pairs.
         origin: of that hypothesis; "" if it came from other pairs.
-        fitness, rmse_m, weakest_curvature: NaN for a pose that was scored but never registered.
+        fitness, rmse_m: NaN for a pose that was scored but never registered.
         weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`: near
-            zero where the pose can slide without a worse fit.
+            zero where the pose can slide without a worse fit. NaN without a Hessian.
         probes_m: (N, 3) scored points of the source, in its own frame, to which `visibility.labels` belong.
         target_probes_m: (M, 3) scored points of the target, in its own frame, as `visibility.target_labels`.
         stability: None where it was not tested.

@@ -41,6 +41,8 @@ _SIGMA_MARGIN = 2.0
 _SLIDE_POSES = 2
 # Two registrations from different sides that end as near as this end at one pose.
 _SAME_END_M = 0.01
+# GICP from a known pose ends at the pose to which the fit to planes moves it by less.
+_UNMOVED_M = 0.01
 # Points per LiDAR with which finalists are compared.
 _FINALIST_POINTS = 10_000
 
@@ -85,6 +87,7 @@ def register_best(
     config: CalibrationConfig,
     *,
     fit: bool = True,
+    is_known: bool = False,
 ) -> PairRegistration:
     """Register the finalists by GICP, and the one with the most evidence on all points.
 
@@ -95,6 +98,8 @@ def register_best(
     Args:
         hypotheses: at least one, the most promising first.
         fit: off: without the fit to planes, and so without information.
+        is_known: the first hypothesis is probably right. If the fit to planes leaves it where it is, and certain, GICP
+            is not run.
 
     Returns:
         The narrower side is the source; where verification is off, the roles are as given. `registrations` holds the
@@ -107,6 +112,8 @@ def register_best(
         target, source = source, target
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
     pair = _Pair(target, source, config, fit)
+    if is_known and (unmoved := pair.unmoved(hypotheses[0])) is not None:
+        return unmoved
     finalists = pair.finalists(hypotheses)
     if fit and max(len(target.views), len(source.views)) > 1:
         finalists += pair.alike(finalists[0])
@@ -262,7 +269,7 @@ class _Pair:
             best = result.registrations[0]
         if best.evidence >= acceptance.min_evidence:
             by_gicp = result
-            result = self._fitted(by_gicp) if self.fit else by_gicp
+            result = self._fitted(by_gicp, _start_of(best)) if self.fit else by_gicp
             best = result.registrations[0]
             if self._needs_stability(result, best, others):
                 result = self._with_stability(by_gicp, result)
@@ -270,7 +277,18 @@ class _Pair:
                 others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(result, hypothesis=best.hypothesis, registrations=(best, *others))
 
-    def _fitted(self, found: PairRegistration) -> PairRegistration:
+    def unmoved(self, start: Hypothesis) -> PairRegistration | None:
+        """Fit a pose to planes without GICP; None if that moves it, or leaves a doubt."""
+        pose = start.T_target_source
+        names = self.target.cloud.name, self.source.cloud.name
+        alone = PairRegistration(*names, pose, 0.0, np.inf, 0, None, None, self.config.fine.engine, start.index)
+        found = self._fitted(alone, start)
+        best = found.registrations[0]
+        moved = arc_between_m(pose, found.T_target_source) > _UNMOVED_M
+        doubted = best.evidence < self.config.acceptance.min_evidence or self._needs_stability(found, best, [])
+        return None if moved or doubted else found
+
+    def _fitted(self, found: PairRegistration, start: Hypothesis) -> PairRegistration:
         """Fit the pose to planes, score it again, and add its information."""
         sigmas = _bias_sigmas(self.target, self.source, self.config)
         fitted = _with_fit(found, fit_planes(*self.clouds, found.T_target_source, sigmas))
@@ -279,7 +297,7 @@ class _Pair:
         fitted = replace(fitted, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
         if max(len(self.target.views), len(self.source.views)) > 1:
             fitted = replace(fitted, bias_information=None)  # a group has several LiDARs
-        return self._scored(fitted, replace(_start_of(found.registrations[0]), T_target_source=pose))
+        return self._scored(fitted, replace(start, T_target_source=pose))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
         """Return whether the pose may slide: not well constrained, uncertain, or with a competing pose."""
@@ -308,7 +326,8 @@ class _Pair:
             further = self.register(replace(_start_of(best), T_target_source=ends[0]))
             if further.evidence < best.evidence:
                 break
-            by_gicp, fitted = further, self._fitted(further) if self.fit else further
+            by_gicp = further
+            fitted = self._fitted(by_gicp, _start_of(by_gicp.registrations[0])) if self.fit else by_gicp
         off_m, direction = stability.perturbed_offset_m, best.visibility.weakest_direction
         information, of_biases = fitted.information, fitted.bias_information
         if information is not None:

@@ -286,9 +286,11 @@ def _labels(
 
 
 def _weakest_curvature(registration: PairRegistration) -> float:
-    """Return the smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`."""
+    """Return the smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`; NaN without."""
+    if registration.hessian is None:
+        return float("nan")
     inliers = registration.steps[-1].inliers if registration.steps else 0
-    if registration.hessian is None or inliers == 0:
+    if inliers == 0:
         return 0.0
     scale = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
     return float(np.linalg.eigvalsh(registration.hessian * np.outer(scale, scale) / inliers)[0])

@@ -219,6 +219,19 @@ def test_without_the_fit_there_is_no_information(sides, monkeypatch):
     assert result.evidence > _CONFIG.acceptance.min_evidence
 
 
+@pytest.mark.parametrize(("offset_m", "needs_gicp"), [(0.003, False), (0.03, True)])
+def test_gicp_follows_a_known_pose_only_if_it_moved(sides, offset_m, needs_gicp):
+    expected = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    known = _hypothesis(_near(expected.T_target_source, (offset_m, 0.0, 0.0), 0.0))
+    found = register_best(*sides, [known], _CONFIG, is_known=True)
+    assert (found.iterations is not None) == needs_gicp
+    assert np.isnan(found.registrations[0].weakest_curvature) != needs_gicp
+    assert found.fitness == pytest.approx(expected.fitness, rel=0.01)
+    metres, radians = found.T_target_source.distance_to(expected.T_target_source)
+    assert metres < 5e-4
+    assert radians < np.deg2rad(0.005)
+
+
 def test_only_finalists_that_may_win_go_on(sides, monkeypatch):
     went_on = []
 
