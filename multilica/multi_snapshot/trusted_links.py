@@ -126,13 +126,12 @@ def refine_linked(
         max_baseline_m: as `acceptance.max_baseline_m`.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
-    refused: dict[ViewPair, str] = {}
     contradicted: list[RigConflict] = []
     knocks: list[Knock] = []
     moved = {*inconsistent}
-    refused.update((link, _ELSEWHERE) for link in links if link.views & moved)
+    refused = _refused(links, moved)
     links = [link for link in links if link not in refused]
-    left = [link for link in links if link.registration.information is not None]
+    left = [link for link in links if link.counts]
     grounds = ground_pairs(levels)
     agreeing, course = agreeing_motions(root, within, motions)
     refused.update(dict.fromkeys(links_off_course(course, left), _OFF_COURSE))
@@ -186,6 +185,13 @@ def refine_linked(
         poses_by_motions(root, [*within, *left], agreeing, rig.covariances, grounds),
         tuple(described(each, used=each in agreeing) for each in motions),
     )
+
+
+def _refused(links: Sequence[ViewPair], moved: set[DriveView]) -> dict[ViewPair, str]:
+    """Return why links do not count before any is compared with others."""
+    undecided = [link for link in links if link.registration.verdict.outcome == "undecided"]
+    elsewhere = [link for link in links if link.views & moved]
+    return {**{link: link.registration.verdict.text for link in undecided}, **dict.fromkeys(elsewhere, _ELSEWHERE)}
 
 
 def _conflict(

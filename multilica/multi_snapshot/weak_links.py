@@ -34,7 +34,8 @@ def confirmed_links(
     Returns:
         None if links leave the pose of a LiDAR open, and no few of them tell one.
     """
-    sure = [pair for pair in (*within, *links) if pair.registration.information is not None]
+    sure = [pair for pair in within if pair.registration.information is not None]
+    sure += [link for link in links if link.counts]
     ranked = sorted(weak, key=lambda link: (-link.registration.evidence, link.target, link.source))
     confirmed = _first(root, sure, ranked, grounds)
     if confirmed is None:

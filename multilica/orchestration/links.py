@@ -11,6 +11,7 @@ from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
     PreparedLidar,
     SearchRequest,
+    lead_along_slide,
     priority_of,
     register_implied,
     score_implied,
@@ -19,7 +20,16 @@ from multilica.orchestration.pairs import (
 )
 from multilica.orchestration.stop_views import DriveStop, least_evidence, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
+from multilica.results import (
+    DriveView,
+    Hypothesis,
+    PairKey,
+    PairRegistration,
+    Reason,
+    Registration,
+    Verdict,
+    ViewPair,
+)
 from multilica.stages.pair_choice import LEAST_PRIORITY, choose_loops, next_round
 from multilica.workers import Shared, Workers
 
@@ -37,9 +47,10 @@ _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
 
 @dataclass(frozen=True, slots=True)
 class FoundLinks:
-    """Registrations between stops, accepted or uncertain.
+    """Registrations between stops.
 
     Args:
+        links: accepted or uncertain, or undecided where another place along the way fits better.
         weak: others, which have too little evidence to count without links that confirm them.
         not_reached: pairs of stops whose views there was no time to search.
         motions: of LiDARs between the stops, if they were read.
@@ -62,8 +73,7 @@ def search_links(
     So most links have others that confirm them.
 
     Returns:
-        The accepted and the uncertain registrations, none of which is confirmed, those with less evidence, and what
-        there was no time for.
+        The registrations, none of which is confirmed, those with less evidence, and what there was no time for.
     """
     if not _may_link(stops, config):
         return FoundLinks()
@@ -189,6 +199,7 @@ class _LinkSearch:
         if self.loops_per_view > _LOOPS_IF_DETERMINED:
             self.tested -= self.left_out
             self._close_loops()
+        self._doubt_slid()
 
     def _search_again(self, freed: Mapping[DriveView, PreparedLidar], priority: Mapping[PairKey, float]) -> None:
         """Search once more if beams through movable objects refused a pair: they prove nothing now.
@@ -215,6 +226,7 @@ class _LinkSearch:
             return
         self._register(implied, score_roughly)
         self._close_loops()
+        self._doubt_slid()
 
     def follow_poses(self, poses: Mapping[DriveView, RigidTransform], known: Collection[frozenset[DriveView]]) -> None:
         """Register pairs of views from their poses, all that beams agree with but the known ones."""
@@ -231,6 +243,7 @@ class _LinkSearch:
         self._share()
         self.loops_per_view = len(of_label)
         self._register(implied, score_roughly, least_evidence(self.config))
+        self._doubt_slid()
 
     def _share(self) -> dict[DriveView, PreparedLidar]:
         self.levels = levels_of(self.stops, self.config)
@@ -299,6 +312,25 @@ class _LinkSearch:
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
                 self._keep(pair, found)
         return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
+
+    def _doubt_slid(self) -> None:
+        """Leave all links of two LiDARs undecided if a place farther along the way fits one of them better.
+
+        Along a rail with posts, links follow from a wrong one and fit like it, but not always best.
+        """
+        between = {pair: link for pair, link in self.links.items() if len(link.registration.lidars) > 1}
+        found = [link.registration.registrations[0] for link in between.values()]
+        leads = dict(zip(between, self.workers.map(lead_along_slide, found), strict=True))
+        worst: dict[frozenset[str], tuple[float, float]] = {}
+        for pair, link in between.items():
+            worst[link.registration.lidars] = min(leads[pair], worst.get(link.registration.lidars, leads[pair]))
+        for pair, link in between.items():
+            lead, away_m = worst[link.registration.lidars]
+            if lead < 0.0:
+                one, other = sorted(link.registration.lidars)
+                text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"
+                verdict = Verdict("undecided", (Reason("held_by_repetition", lead, 0.0, text),))
+                self.links[pair] = replace(link, registration=replace(link.registration, verdict=verdict))
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
         if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:

@@ -12,6 +12,7 @@ from multilica.acceptance.accept import accept, accept_by_fitness, may_be_accept
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
+from multilica.registration.poses import moved
 from multilica.results import (
     CoarseResult,
     Correspondences,
@@ -35,6 +36,13 @@ from multilica.visibility.sensor_view import (
     score_pose,
 )
 from multilica.workers import Shared
+
+# Poses nearer along a slide may be the same one with a large sigma.
+_NEXT_PLACE_M = 2.0
+# A pose that is wrong by more puts LiDARs of most vehicles too far apart.
+_LONGEST_SLIDE_M = 15.0
+# Rough tolerances reach half of it to both sides.
+_SCORED_STEP_M = 0.3
 
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
 
@@ -227,6 +235,22 @@ def score_roughly(lidars: Shared, pose: RigidTransform) -> Registration:
     """Score a pose between two LiDARs that may be some centimetres off by their beams."""
     target, source = (lidars[name].view for name in (pose.target, pose.source))
     return score_pose(target, source, pose, *ROUGH_TOLERANCES)
+
+
+def lead_along_slide(lidars: Shared, found: Registration) -> tuple[float, float]:
+    """Compare a pose by beams with those along its weakest direction that are too far away to be the same one.
+
+    Returns:
+        By how much it is likelier than the likeliest of them, negative if it is less likely, and how far that one is.
+    """
+    pose, direction = found.T_target_source, found.visibility.slide_direction
+    known = score_roughly(lidars, pose)
+    ways_m = np.arange(_NEXT_PLACE_M, _LONGEST_SLIDE_M, _SCORED_STEP_M)
+    leads = (
+        (known.lead_over(score_roughly(lidars, moved(pose, np.zeros(3), way_m * direction))), float(abs(way_m)))
+        for way_m in (*ways_m, *-ways_m)
+    )
+    return min(leads)
 
 
 def register_sides(

@@ -58,6 +58,12 @@ class ViewPair:
         return frozenset((self.target_stop, self.source_stop))
 
     @property
+    def counts(self) -> bool:
+        """True if the registration is accepted or uncertain, with its information."""
+        found = self.registration
+        return found.information is not None and found.verdict.outcome in ("accept", "uncertain")
+
+    @property
     def is_link(self) -> bool:
         """True if it links two stops."""
         return self.target_stop != self.source_stop

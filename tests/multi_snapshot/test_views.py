@@ -15,7 +15,7 @@ from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
-from multilica.results import CalibrationResult, DriveView, LidarPlacement, LinkedStops
+from multilica.results import CalibrationResult, DriveView, LidarPlacement, LinkedStops, Reason, Verdict
 from multilica.stages.refine import _Equations, _summed, refine
 from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
 from tests.selection import some_of
@@ -233,6 +233,21 @@ def test_links_that_put_a_lidar_off_the_vehicle_do_not_count():
     found = refine_linked("A", within, links, _CONFIG, max_baseline_m=1.2)
     assert set(found.rig.poses) == {"A"}
     assert all("farther from A than" in link.reason for link in found.links)
+
+
+def test_undecided_links_do_not_count():
+    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    verdict = Verdict("undecided", (Reason("held_by_repetition", -1.0, 0.0, "made"),))
+    links = [
+        replace(link, registration=replace(link.registration, verdict=verdict))
+        if "B" in link.registration.lidars
+        else link
+        for link in links
+    ]
+    found = refine_linked("A", within, links, _CONFIG)
+    assert set(found.rig.poses) == {"A"}
+    assert [link.reason for link in found.links if "B" in (link.target, link.source)] == ["made"] * 3
+    assert sum(link.used for link in found.links) == 3
 
 
 @pytest.mark.parametrize(("max_baseline_m", "is_placed"), [(1.5, True), (1.2, False)])

@@ -99,6 +99,34 @@ def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
     assert len(searched) == 4
 
 
+@pytest.mark.parametrize(("lead", "outcome"), [(-0.1, "undecided"), (0.1, "accept")])
+def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, outcome):
+    """It doubts all links of these two LiDARs, and none of a LiDAR with itself."""
+
+    def made(_, request):
+        best = SimpleNamespace(evidence=9.0, pair=request.pair)
+        pose = RigidTransform.identity(*request.pair)
+        found = PairRegistration(*request.pair, pose, 0.9, 0.1, 1, None, None, "", information=np.eye(6))
+        return SimpleNamespace(registration=replace(found, registrations=(best,)))
+
+    def along(_, found):
+        return (lead, 4.0) if found.pair == ("front at stop 1", "rear at stop 2") else (2.0, 4.0)
+
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "with_movable", lambda *_: {})
+    monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(links, "next_round", lambda _, __, tried, priority: [] if tried else [*priority])
+    monkeypatch.setattr(links, "search_pair", made)
+    monkeypatch.setattr(links, "lead_along_slide", along)
+    found = links.search_links(_STOPS, CalibrationConfig(), Workers()).links
+    assert len(found) == 4
+    for link in found:
+        expected = outcome if len(link.registration.lidars) > 1 else "accept"
+        assert link.registration.verdict.outcome == expected
+        assert link.counts == (expected == "accept")
+
+
 def test_motions_tell_where_links_between_stops_are(monkeypatch):
     """A link that was found before is kept, and not registered again."""
     here = RigidTransform.from_xyz_rpy("front", "front", [3.0, 0.0, 0.0], [0.0, 0.0, 0.0])

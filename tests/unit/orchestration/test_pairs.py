@@ -2,6 +2,7 @@
 """All stages of a pair in one task, as far as they are asked for."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from multilica.orchestration import pairs
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
+    lead_along_slide,
     prepare_lidar,
     register_implied,
     score_implied,
     search_pair,
 )
+from multilica.registration.poses import moved
 from multilica.results import PRIOR, Hypothesis, Verdict
 from tests.unit.made_rooms import HALL, scan
 
@@ -136,3 +139,14 @@ def test_an_implied_pose_is_scored_and_registered_from_there(lidars):
     assert registered.T_target_source.with_target("t").distance_to(_TRUTH)[0] < 0.01
     assert registered.hypothesis == -1
     assert registered.evidence > scored.evidence
+
+
+@pytest.mark.parametrize("off_m", [0.0, 2.6])
+def test_a_place_along_the_slide_may_fit_better(lidars, off_m):
+    along = np.array([0.6, 0.8, 0.0])
+    pose = moved(_TRUTH, np.zeros(3), off_m * along)
+    found = SimpleNamespace(T_target_source=pose, visibility=SimpleNamespace(slide_direction=along))
+    lead, away_m = lead_along_slide(lidars, found)
+    assert (lead < 0.0) == (off_m > 0.0)
+    assert away_m >= 2.0
+    assert off_m == 0.0 or away_m == pytest.approx(off_m, abs=0.1)
