@@ -70,7 +70,9 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
     for name, off in offsets.items():
         covariances[name] = of_fixed.covariances[name] + (0.0 if moved else np.outer(off, off))
         if held := held_by_movable(rig.covariances[name], covariances[name], state.config.acceptance, moved=moved):
-            if not moved and (elsewhere := _repetition_of(name, used, rig.poses, state.config)) is not None:
+            if moved:  # the fit may have stopped between where these and the fixed objects put it
+                covariances[name] = covariances[name] + np.outer(off, off)
+            elif (elsewhere := _repetition_of(name, used, rig.poses, state.config)) is not None:
                 covariances[name] = covariances[name] + np.outer(elsewhere, elsewhere)
                 text = f"{held.text}; and the scene repeats {np.linalg.norm(elsewhere[3:]):.1f} m away"
                 held = replace(held, text=text)

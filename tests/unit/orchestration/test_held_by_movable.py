@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other places of a LiDAR that objects which may have moved hold, in a scene that repeats."""
+"""LiDARs that objects which moved, or may have, hold: sigma with the shift, and other places that look alike."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from multilica.config import CalibrationConfig
-from multilica.orchestration.movable import _repetition_of
+from multilica.orchestration import movable
+from multilica.orchestration.movable import _repetition_of, doubt_movable
+from multilica.registration.movable import MovableCells
+from multilica.stages.refine import RefinedRig
 from tests.unit.made_pairs import pair, pose, registration
 
 _CONFIG = CalibrationConfig()
@@ -48,3 +52,28 @@ def test_a_second_pair_tells_both_places_apart():
     alone, second = pair(_POSES["s"], registrations=(_HERE, _THERE)), pair(pose("s", "u"))
     assert _found("s", alone, second) is None
     assert _found("s", alone, pair(pose("t", "u"))) is not None
+
+
+@pytest.mark.parametrize(("sigma_m", "is_held"), [(0.03, True), (0.004, False)])
+def test_the_shift_widens_what_moved_objects_hold(monkeypatch, sigma_m, is_held):
+    """The fit may have stopped between where they and the fixed objects put it. What fixed objects hold is sure."""
+    known = pair(_POSES["s"])
+    of_all, of_fixed = (np.diag([1e-8] * 3 + [sigma**2] * 3) for sigma in (0.002, sigma_m))
+    rig = RefinedRig({"t": _POSES["t"], "s": _POSES["s"]}, {"s": of_all}, {}, None)
+    there = replace(rig, poses={**rig.poses, "s": pose("t", "s", (1.1, 0.0, 0.0), 0.3)}, covariances={"s": of_fixed})
+    cells = MovableCells(np.eye(3), np.array([1]), np.array([1]))
+    for name, made in (
+        ("_moving_points", np.ones((1, 3))),
+        ("_movable_cells", cells),
+        ("_show_movable", None),
+        ("_without_movable", {id(known): known}),
+        ("refine", there),
+    ):
+        monkeypatch.setattr(movable, name, lambda *_, made=made: made)
+    state = SimpleNamespace(snapshot=SimpleNamespace(lidars=()), lidars={}, config=_CONFIG, target="t", held={})
+    found = doubt_movable(state, rig, [known])
+    assert found.poses is there.poses
+    assert ("s" in state.held) == is_held
+    widened = np.zeros((6, 6))
+    widened[3, 3] = 0.1**2 if is_held else 0.0
+    np.testing.assert_allclose(found.covariances["s"], of_fixed + widened, atol=1e-9)
