@@ -32,8 +32,9 @@ def check_scene_symmetry(
 
     Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
     other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
-    The motion between these is the symmetry of the hall; it takes the pose of the first two to one that may be correct.
-    It is no symmetry if what the whole group sees contradicts itself when turned.
+    The motion between these is the symmetry of the hall, and so is its inverse; each takes the pose of the first two to
+    one that may be correct. It is no symmetry if what the whole group sees contradicts itself when turned, but the
+    turned pose competes nevertheless if it is nearly as likely.
 
     Args:
         score_pose, score_turned: with the tolerances of rough poses.
@@ -41,7 +42,10 @@ def check_scene_symmetry(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    return [_turned(pair, pairs, score_pose, score_turned, config) if _may_join(pair) else pair for pair in pairs]
+    return [
+        _turned(pair, pairs, score_pose, score_turned, config) if _may_join(pair) and pair.registrations else pair
+        for pair in pairs
+    ]
 
 
 def _turned(
@@ -60,7 +64,7 @@ def _turned(
                     continue
                 competing = score_pose(turned)
                 against = competing.visibility.contradiction
-                if (
+                if pair.registrations[0].lead_over(competing) < config.min_log_odds_margin or (
                     against < config.min_log_odds_margin
                     and against + score_turned(symmetry).contradiction < config.min_log_odds_margin
                 ):
@@ -75,10 +79,10 @@ def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) ->
     best = pair.T_target_source
     for other in competing_poses(pair.registrations, config):
         if best.distance_to(other.T_target_source)[1] >= _TURNED_RAD:
-            if lidar == pair.target:
-                yield other.T_target_source @ best.inverse()
-            else:
-                yield best.inverse() @ other.T_target_source
+            there = other.T_target_source
+            symmetry = there @ best.inverse() if lidar == pair.target else best.inverse() @ there
+            yield symmetry
+            yield symmetry.inverse()
 
 
 def check_cycles(

@@ -265,5 +265,6 @@ def register_sides(
     """Register two sides as `register_best` does, with a verdict."""
     found = register_best(target, source, hypotheses, config, fit=fit, is_known=is_known)
     if found.registrations:
-        return replace(found, verdict=accept(found.registrations, config.acceptance))
+        views = max(len(target.views), len(source.views))
+        return replace(found, verdict=accept(found.registrations, config.acceptance, views))
     return replace(found, verdict=accept_by_fitness(found, config.merge))

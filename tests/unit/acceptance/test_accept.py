@@ -203,14 +203,21 @@ def test_a_pose_that_slides_leaves_it_undecided(moved, value, figures):
     assert figures in verdict.text
 
 
-def test_a_precise_pose_needs_points_in_each_direction():
+def test_a_pose_needs_points_in_each_direction():
     """Two LiDARs that look apart in a garage: turned by 180 deg they share a wall, and slide along it."""
     verdict = _accept(_registration(weakest=0.04, stability=_STABLE))
     assert verdict.outcome == "undecided"
     assert verdict.codes == ("not_observable",)
     assert verdict.text.endswith("constrain the pose about x of t: only 0.04 points hold it there (limit 0.1)")
     assert _accept(_registration(weakest=0.2, stability=_STABLE)).accepted
-    assert _accept(_registration(weakest=0.04, stability=replace(_STABLE, sigma_m=0.03))).outcome == "uncertain"
+    assert _accept(_registration(weakest=0.04, stability=replace(_STABLE, sigma_m=0.03))).outcome == "undecided"
+
+
+def test_lidars_side_by_side_count_points_twice():
+    """In a tunnel, both see the niche that one would take for another."""
+    found = [_registration(weakest=0.15, stability=_STABLE)]
+    assert accept(found, _CONFIG).accepted
+    assert accept(found, _CONFIG, views=2).outcome == "undecided"
 
 
 @pytest.mark.parametrize(

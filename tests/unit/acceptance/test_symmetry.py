@@ -58,12 +58,33 @@ def test_a_pair_whose_turned_pose_is_possible_is_doubted(known_as, seen_as, verd
 
 @pytest.mark.parametrize(
     ("by_pair", "by_group", "doubted"),
-    [(0, 0, True), (20, 0, False), (0, 20, False), (4, 0, True), (0, 4, True), (4, 4, False)],
+    [(0, 0, True), (20, 0, False), (0, 20, False), (2, 0, True), (0, 4, True), (2, 4, False)],
 )
 def test_what_contradicts_turned_pose_and_group_is_added(by_pair, by_group, doubted):
     pairs = [_symmetric(), registered(_OTHER)]
-    after = check_scene_symmetry(pairs, lambda at: scored(at, violate=by_pair), _turned(by_group), _CONFIG)
+    after = check_scene_symmetry(pairs, lambda at: scored(at, 100, by_pair), _turned(by_group), _CONFIG)
     assert (after[1] is not pairs[1]) is doubted
+
+
+def test_the_inverse_of_a_symmetry_is_one_too():
+    """A court looks the same turned by 90 deg; of both turned poses, beams contradict one."""
+    quarter = pose("a", "a", (2.0, 2.0, 0.0), np.pi / 2.0)
+    pairs = [_symmetric(quarter), registered(_OTHER)]
+    right = quarter.inverse() @ _OTHER
+
+    def score(at):
+        return scored(at, 0, violate=0 if at.distance_to(right)[0] < 0.1 else 90)
+
+    after = check_scene_symmetry(pairs, score, _turned(), _CONFIG)
+    assert after[1].competing.T_target_source.distance_to(right) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("distinctive", "doubted"), [(550, True), (0, False)])
+def test_a_turned_pose_that_is_as_likely_competes(distinctive, doubted):
+    """Things in a hall may contradict its symmetry, and both poses be possible all the same."""
+    pairs = [_symmetric(), registered(_OTHER)]
+    after = check_scene_symmetry(pairs, lambda at: scored(at, distinctive), _turned(90), _CONFIG)
+    assert (after[1].verdict.outcome == "undecided") is doubted
 
 
 def test_a_turned_group_is_scored_only_if_the_pose_is_possible():
