@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cycles of accepted pairs that do not close within their covariances."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -37,6 +37,29 @@ def doubted_lidars(
             if name not in linked:
                 found.setdefault(name, residual)
     return found
+
+
+def outlier(
+    pairs: Sequence[PairRegistration],
+    residuals: Sequence[PairResidual],
+    refined_without: Callable[[Sequence[PairRegistration]], Sequence[PairResidual]],
+) -> PairResidual | None:
+    """Find a pair that is the wrong one of its cycle: all others agree without it, and tell its pose twice.
+
+    Args:
+        pairs: with which the poses were refined, one per residual.
+        refined_without: returns the residuals of some of the pairs, refined alone.
+
+    Returns:
+        The residual of that pair; None if nothing tells which pair is wrong.
+    """
+    worst = min(residuals, key=lambda each: each.probability)
+    ends = {worst.target, worst.source}
+    others = [pair for pair in pairs if pair.lidars != ends]
+    spared = [[pair for pair in others if pair is not one] for one in others]
+    if not all(worst.source in connected(worst.target, left) for left in (others, *spared)):
+        return None
+    return None if any(each.contradicts for each in refined_without(others)) else worst
 
 
 def is_beyond(residual: PairResidual, config: AcceptanceConfig) -> bool:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint refinement of the rig, and the LiDARs that lose their pose in it."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from multilica import events
-from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, widened
+from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, outlier, widened
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeDecision, PairRegistration, PairResidual, Verdict, connected
@@ -16,11 +16,17 @@ def refine_rig(state: CalibrationState) -> None:
     """Refine all poses jointly; LiDARs whose pairs contradict each other lose their pose, or have a wider covariance.
 
     A contradiction below the limits of a placed LiDAR is counted in its covariance. With a larger one no pose of the
-    cycle can be trusted: the disagreement does not say how far the wrong pair is off.
+    cycle can be trusted: the disagreement does not say how far the wrong pair is off. If the others tell which pair is
+    wrong, that pair goes instead. With one frame, the others may agree on a car that moved between the scans.
     """
     if not state.config.refine.enabled or state.group is None:
         return
     poses, limits = state.group.poses, state.config.acceptance
+    watched = {lidar.name for lidar in state.snapshot.lidars if len(lidar.scans) > 1}
+
+    def residuals_of(pairs: Sequence[PairRegistration]) -> tuple[PairResidual, ...]:
+        return refine(state.target, poses, pairs, state.config.refine).refinement.pairs
+
     while True:
         used = _pairs_between(state, poses)
         rig = refine(state.target, poses, used, state.config.refine)
@@ -28,6 +34,10 @@ def refine_rig(state: CalibrationState) -> None:
         lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
         if not lost:
             break
+        wrong = outlier(used, rig.refinement.pairs, residuals_of)
+        if wrong is not None and {wrong.target, wrong.source} <= watched:
+            _doubt_pair(state, wrong)
+            continue
         _doubt_pairs_of(state, lost)
         left = _rejoin(state, poses.keys() - lost.keys())
         _split_off(state, lost, poses.keys() - lost.keys() - left)
@@ -38,6 +48,17 @@ def refine_rig(state: CalibrationState) -> None:
     state.covariances = widened(rig.covariances, doubts)
     state.repeatability, state.refinement = rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+
+def _doubt_pair(state: CalibrationState, wrong: PairResidual) -> None:
+    """Leave the pair undecided that contradicts the others."""
+    reason, ends = contradiction_of(wrong, state.config.acceptance), {wrong.target, wrong.source}
+    for key, pair in state.registrations.items():
+        if pair.lidars == ends:
+            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
+            state.observe(events.VerdictChanged(state.registrations[key]))
+    merges = (tuple(pair for pair in merge if pair.lidars != ends) for merge in state.merges)
+    state.merges = [merge for merge in merges if merge]
 
 
 def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:

@@ -21,10 +21,10 @@ _SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
 _INFORMATION = np.diag(np.repeat([_SIGMA_RAD, _SIGMA_M], 3) ** -2.0)
 
 
-def _calibrated(pairs, merges=()):
+def _calibrated(pairs, merges=(), frames=1):
     """The state after the refinement of a rig whose pairs were all merged, and some groups."""
     point = np.ones((1, 3), dtype=np.float32)
-    snapshot = Snapshot(tuple(LidarScans(name, (Scan(point),)) for name in IN_A), "made")
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(point),) * frames) for name in IN_A), "made")
     config = with_overrides(CalibrationConfig(target="a"), ["verify.enabled=false"])
     state = CalibrationState(snapshot, config, lambda _: None)
     state.clouds = {name: PreprocessedCloud(name, point, point) for name in IN_A}
@@ -64,8 +64,25 @@ def test_pairs_that_agree_leave_no_lidar_in_doubt():
 
 
 @pytest.mark.parametrize("by_m", [0.083, -0.9])
-def test_a_large_contradiction_leaves_its_cycle_without_poses(by_m):
-    state = _calibrated(_pairs("bc", by_m=by_m))
+def test_two_ways_between_its_lidars_tell_a_wrong_pair(by_m):
+    result = result_of(_calibrated(_pairs("bc", by_m=by_m), frames=2))
+    assert {each.reason for each in result.placements} == {"the target", "placed"}
+    assert [pair.lidars for pair in result.pairs if not pair.verdict.accepted] == [{"b", "c"}]
+    for name, truth in IN_A.items():
+        assert result[name].T_target_source.distance_to(truth)[0] < 1e-6
+
+
+def test_two_wrong_pairs_tell_nothing():
+    """Without either of them, the other contradicts the rest."""
+    made = zip(_pairs("bc", by_m=0.3), _pairs("bd", by_m=-0.4), strict=True)
+    result = result_of(_calibrated([other if one.lidars == {"b", "d"} else one for one, other in made], frames=2))
+    assert not result["b"].placed
+
+
+@pytest.mark.parametrize(("by_m", "frames", "names"), [(0.083, 1, "abcd"), (-0.9, 1, "abcd"), (0.083, 2, "abc")])
+def test_a_large_contradiction_leaves_its_cycle_without_poses(by_m, frames, names):
+    """With one frame, the majority may have matched what moved; in a triangle, there is none."""
+    state = _calibrated(_pairs("bc", by_m=by_m, names=names), frames=frames)
     result = result_of(state)
     lost = {each.lidar for each in result.placements if each.status == "not_placed"}
     assert {"b", "c"} <= lost
