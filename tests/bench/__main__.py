@@ -29,8 +29,8 @@ MEASUREMENTS = (
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale", "drives")
-ROBUSTNESS = ("crash", "fuzz", "hard", "longest", "soak")
+ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale", "drives", "random_rigs")
+ROBUSTNESS = ("crash", "fuzz", "hard", "longest", "random_rigs", "soak")
 FLEET = ("fleet_drift", "fleet_scale", "fleet_year", "knocks")
 
 

@@ -99,10 +99,7 @@ def main(
         for scene, count in product(scenes, frames)
     ]
     print_table((*header, "1 sigma", "2", "3", "CPU s", "longest"), [*rows, ("all", "", *figures(found))])
-    print_table(
-        ("case", "frames", "LiDAR", "target", "status", "off by m", "deg", "Mahalanobis"),
-        [_detail(of, each) for of in found for each in of.lidars if each.wrong or each.beyond],
-    )
+    print_lies(found)
     return print_claims(claims([each for of in found for each in of.lidars]))
 
 
@@ -116,11 +113,12 @@ def _run(task: tuple[Case, int]) -> CaseOutcome:
         target, *others = made.snapshot.names
         lidars = [Outcome(LidarPlacement(name, str(error)), target) for name in others]
     else:
-        lidars = [_outcome(made, result.target, each) for each in result.placements if each.lidar != result.target]
+        lidars = [outcome_of(made, result.target, each) for each in result.placements if each.lidar != result.target]
     return CaseOutcome(case, frames, tuple(lidars), time.process_time() - start_s)
 
 
-def _outcome(made: Simulation, target: str, placement: LidarPlacement) -> Outcome:
+def outcome_of(made: Simulation, target: str, placement: LidarPlacement) -> Outcome:
+    """Compare a LiDAR with the truth."""
     pose = placement.T_target_source
     if pose is None or not (placement.placed or placement.uncertain):
         return Outcome(placement, target)
@@ -166,6 +164,14 @@ def claims(lidars: Sequence[Outcome]) -> list[Claim]:
         Claim("placed, but over 5 cm or 0.5 deg", "0", f"{wrong} of {len(lidars)}", wrong == 0),
         Claim("placed or uncertain beyond the 99.9 % bound", "0", f"{beyond} of {len(poses)}", beyond == 0),
     ]
+
+
+def print_lies(found: Sequence[CaseOutcome]) -> None:
+    """Print every pose that is wrong or beyond its bound."""
+    print_table(
+        ("case", "frames", "LiDAR", "target", "status", "off by m", "deg", "Mahalanobis"),
+        [_detail(of, each) for of in found for each in of.lidars if each.wrong or each.beyond],
+    )
 
 
 def _detail(of: CaseOutcome, each: Outcome) -> list[object]:

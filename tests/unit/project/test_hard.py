@@ -8,8 +8,10 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
+from multilica.simulate import RIGS
 from tests.bench.robustness import hard
 from tests.bench.robustness.hard import CaseOutcome, Outcome, claims, figures
+from tests.bench.robustness.random_rigs import RandomCase, _run
 from tests.bench.support.cases import Case
 
 _NOWHERE = Outcome(LidarPlacement("rear", "ambiguous"), "left")
@@ -57,3 +59,20 @@ def test_the_whole_run_has_600_lidars_and_all_flows(monkeypatch, capsys):
     disturbances = {case.disturbances for case, _ in asked if case.scene == "motorway"}
     assert len(disturbances) == 4
     assert {case.disturbances for case, _ in asked if case.scene == "court"} == {()}
+
+
+def test_a_random_vehicle_follows_from_its_seed():
+    one, again, other = (RandomCase.of(seed) for seed in (5, 5, 6))
+    assert one.rig.mounts == again.rig.mounts
+    assert (one.scene, one.frames, one.disturbances) == (again.scene, again.frames, again.disturbances)
+    assert one.rig.mounts != other.rig.mounts
+    assert 2 <= len(one.rig.mounts) <= 5
+
+
+@pytest.mark.in_turn
+@pytest.mark.slow
+def test_a_random_vehicle_is_calibrated_and_compared():
+    outcome = _run(22)
+    assert outcome is not None
+    assert len(outcome.lidars) == len(RandomCase.of(22).rig.mounts) - 1
+    assert "random" not in RIGS
