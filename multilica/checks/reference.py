@@ -121,5 +121,6 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
                 f"calibrate with --target {old.target}."
             )
         before = check_rig(run, old, tolerances) if len(old.members) > 1 else None
+    into.parent.mkdir(parents=True, exist_ok=True)
     write_text_atomically(into, read_limited(file, MAX_TOML_BYTES).decode("utf-8"))
     return before

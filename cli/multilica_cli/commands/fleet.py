@@ -243,7 +243,9 @@ def report(
     from multilica.sinks.files.atomic import write_text_atomically
 
     designed = read_extrinsics(nominal) if nominal else None
-    write_text_atomically(out, store_report(_opened(store), out, designed))
+    page = store_report(_opened(store), out, designed)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text_atomically(out, page)
     stdout_console(quiet=quiet).print(f"wrote {out}")
 
 

@@ -47,9 +47,11 @@ def damaged_part(store: Store, path: str) -> UnreadableSourceError:
 
 def read_part(store: Store, path: str) -> pa.Table:
     """Read all rows of a part; raise UnreadableSourceError if it is damaged."""
-    content = store.read(path)
+    content = BytesIO(store.read(path))
     try:
-        return pq.read_table(BytesIO(content)).cast(TABLES[path.partition("/")[0]])
+        # Arrow's threads for reading may outlive the interpreter, which aborts then.
+        rows = pq.read_table(content, use_threads=False, pre_buffer=False)
+        return rows.cast(TABLES[path.partition("/")[0]])
     except (pa.ArrowException, OSError, ValueError) as error:
         raise damaged_part(store, path) from error
 

@@ -38,8 +38,9 @@ def test_nominal_poses_come_from_a_file(store, invoke: Invoke):
     xyz_m, rpy_deg = NOMINAL["front"]
     pose = RigidTransform.from_xyz_rpy("top", "front", np.add(xyz_m, (0.0, 0.0, 1.0)), np.deg2rad(rpy_deg))
     Path("design.toml").write_text(tomli_w.dumps(extrinsics_table(Extrinsics("top", {"front": pose}))))
-    assert invoke("fleet", "report", "--store", store, "--nominal", "design.toml").code == ExitCode.DONE
-    assert "1 LiDAR sits elsewhere than designed." in Path("fleet-report.html").read_text(encoding="utf-8")
+    given = ("--nominal", "design.toml", "--out", "new/folder/fleet-report.html")
+    assert invoke("fleet", "report", "--store", store, *given).code == ExitCode.DONE
+    assert "1 LiDAR sits elsewhere than designed." in Path("new/folder/fleet-report.html").read_text(encoding="utf-8")
     assert_one_sentence(invoke("fleet", "report", "--store", store, "--nominal", "none.toml"), ExitCode.INPUT)
 
 

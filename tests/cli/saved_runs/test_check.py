@@ -120,6 +120,7 @@ def test_a_reviewed_run_becomes_the_reference(invoke: Invoke, two_lidars: Path) 
     assert tomllib.loads(accepted)["input"]["sha256"]
     assert invoke("check", "run", "--against", "calibration.toml").code == ExitCode.DONE
     assert "All 2 LiDARs agree" in invoke("accept", "run", "--into", "calibration.toml").out
+    assert invoke("accept", "run", "--into", "new/folder/calibration.toml").code == ExitCode.DONE
     assert invoke("calibrate", two_lidars, "--out", "other", *options[:-1], "right").code == ExitCode.DONE
     refused = invoke("accept", "other", "--into", "calibration.toml")
     assert_one_sentence(refused, ExitCode.INPUT)
