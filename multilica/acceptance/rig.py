@@ -12,7 +12,7 @@ from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near
-from multilica.results import PairRegistration, Reason, Registration, Verdict, VisibilityScore
+from multilica.results import PairRegistration, Reason, Registration, Verdict, VisibilityScore, connected
 from multilica.visibility.sensor_view import ScorePose
 
 _CODE = "cycle_contradicted"
@@ -34,7 +34,8 @@ def check_scene_symmetry(
     other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
     The motion between these is the symmetry of the hall, and so is its inverse; each takes the pose of the first two to
     one that may be correct. It is no symmetry if what the whole group sees contradicts itself when turned, but the
-    turned pose competes nevertheless if it is nearly as likely.
+    turned pose competes nevertheless if it is nearly as likely. So does a pose that is one repetition of the scene
+    away, if no cycle confirms the pair.
 
     Args:
         score_pose, score_turned: with the tolerances of rough poses.
@@ -55,21 +56,31 @@ def _turned(
     score_turned: ScoreTurned,
     config: AcceptanceConfig,
 ) -> PairRegistration:
-    pose = pair.T_target_source
+    pose, margin = pair.T_target_source, config.min_log_odds_margin
     for other in pairs:
         for lidar in sorted(pair.lidars & other.lidars):
             for symmetry in _symmetries(other, lidar, config):
-                turned = symmetry @ pose if lidar == pair.target else pose @ symmetry
-                if not is_near(turned, config.max_baseline_m):
+                there = symmetry @ pose if lidar == pair.target else pose @ symmetry
+                if not is_near(there, config.max_baseline_m) or not is_distinct(there, [pose]):
                     continue
-                competing = score_pose(turned)
-                against = competing.visibility.contradiction
-                if pair.registrations[0].lead_over(competing) < config.min_log_odds_margin or (
-                    against < config.min_log_odds_margin
-                    and against + score_turned(symmetry).contradiction < config.min_log_odds_margin
-                ):
+                competing = score_pose(there)
+                lead, is_turn = pair.registrations[0].lead_over(competing), pose.distance_to(there)[1] >= _TURNED_RAD
+                if is_turn and (lead < margin or _is_possible(competing, symmetry, score_turned, margin)):
                     return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
+                if lead < margin and not _is_confirmed(pair, pairs):
+                    reason = _repetition(pair, competing, other, lead, config)
+                    return replace(pair, verdict=Verdict("undecided", (reason,)))
     return pair
+
+
+def _is_confirmed(pair: PairRegistration, pairs: Sequence[PairRegistration]) -> bool:
+    return pair.source in connected(pair.target, [each for each in pairs if each is not pair and _may_join(each)])
+
+
+def _is_possible(competing: Registration, symmetry: RigidTransform, score_turned: ScoreTurned, margin: float) -> bool:
+    """Return whether beams contradict neither a turned pose nor what the whole group sees, turned against itself."""
+    against = competing.visibility.contradiction
+    return bool(against < margin and against + score_turned(symmetry).contradiction < margin)
 
 
 def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) -> Iterator[RigidTransform]:
@@ -78,11 +89,10 @@ def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) ->
         return
     best = pair.T_target_source
     for other in competing_poses(pair.registrations, config):
-        if best.distance_to(other.T_target_source)[1] >= _TURNED_RAD:
-            there = other.T_target_source
-            symmetry = there @ best.inverse() if lidar == pair.target else best.inverse() @ there
-            yield symmetry
-            yield symmetry.inverse()
+        there = other.T_target_source
+        symmetry = there @ best.inverse() if lidar == pair.target else best.inverse() @ there
+        yield symmetry
+        yield symmetry.inverse()
 
 
 def check_cycles(

@@ -15,6 +15,7 @@ from multilica.acceptance.rig import (
 )
 from multilica.config import Stage
 from multilica.geometry import RigidTransform
+from multilica.orchestration.lone_pairs import doubt_lone_pairs
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
@@ -50,6 +51,8 @@ def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
     """
     try:
         _search_all(state, until)
+        if state.config.verify.enabled and until == "fine":
+            doubt_lone_pairs(state)
     finally:
         if state.cut_short:
             group = components(list(state.clouds), [(pair.target, pair.source) for pair in state.accepted])

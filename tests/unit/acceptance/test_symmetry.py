@@ -107,3 +107,18 @@ def test_a_pose_with_much_less_evidence_shows_no_symmetry():
     seen = replace(seen, registrations=(*seen.registrations, scored(_SYMMETRY @ _SEEN, 20)))
     pairs = [seen, registered(_OTHER)]
     assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG) == pairs
+
+
+@pytest.mark.parametrize(
+    ("distinctive", "confirmed", "doubted"), [(550, False, True), (0, False, False), (550, True, False)]
+)
+def test_a_repetition_of_the_scene_competes_with_lone_pairs(distinctive, confirmed, doubted):
+    """In a tunnel, a pair took one niche for the next. Another pair finds two poses, one period apart."""
+    period = pose("a", "a", (6.0, 0.0, 0.0))
+    pairs = [_symmetric(period), registered(_OTHER)]
+    if confirmed:
+        pairs += [registered(pose("a", "d")), registered(pose("d", "c"))]
+    after = check_scene_symmetry(pairs, lambda at: scored(at, distinctive), _turned(90), _CONFIG)
+    assert (after[1].verdict.outcome == "undecided") is doubted
+    if doubted:
+        assert "a and b fit at several poses, and one of these puts c 6.00 m" in after[1].verdict.text

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs that alone join two groups, tested with all that these groups see."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from multilica import events
+from multilica.acceptance.pair_graph import PairGraph
+from multilica.orchestration.pairs import register_sides
+from multilica.orchestration.state import CalibrationState
+from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Verdict, connected
+from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
+
+# Number of the hypothesis of a pair that was registered where others imply it.
+_IMPLIED = -1
+
+
+def doubt_lone_pairs(state: CalibrationState) -> None:
+    """Leave pairs undecided that alone join two groups, if the groups fit as well at another pose.
+
+    A search that finds several poses with enough evidence decides by what two LiDARs see, and their groups see more.
+    Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
+    with a wrong pair. They go with it.
+    """
+    joining = [pair for pair in state.registrations.values() if pair.verdict.outcome in ("accept", "uncertain")]
+    searched = [pair for pair in joining if pair.hypothesis != _IMPLIED and pair.registrations]
+    for pair in searched:
+        if not any(each.evidence >= state.config.acceptance.min_evidence for each in pair.registrations[1:]):
+            continue
+        others = [each for each in searched if each is not pair]
+        members, of_source = connected(pair.target, others), connected(pair.source, others)
+        if pair.source in members or len(members) == len(of_source) == 1:
+            continue
+        target, source = (_side_of(state, root, others) for root in (pair.target, pair.source))
+        found = register_sides(target, source, [Hypothesis(pair.T_target_source)], state.config)
+        if found.verdict.outcome != "undecided":
+            continue
+        doubt = tuple(replace(reason, competing=None) for reason in found.verdict.reasons)
+        for key, each in state.registrations.items():
+            if each in joining and len(each.lidars & members) == len(each.lidars & of_source) == 1:
+                _doubt(state, key, doubt)
+
+
+def _side_of(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> RegistrationCloud:
+    """Prepare the LiDARs that pairs connect to the root, in its frame."""
+    poses = sorted(PairGraph.of(sorted(state.clouds), pairs).poses(root).items())
+    if len(poses) == 1:
+        return state.lidars[root].side
+    points_m = np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in poses])
+    views = [(pose, view) for name, pose in poses if (view := state.lidars[name].view) is not None]
+    return prepare_registration_cloud(root, points_m, views, state.config)
+
+
+def _doubt(state: CalibrationState, key: PairKey, reasons: tuple[Reason, ...]) -> None:
+    pair: PairRegistration = replace(state.registrations[key], verdict=Verdict("undecided", reasons))
+    state.registrations[key] = pair
+    state.observe(events.VerdictChanged(pair))

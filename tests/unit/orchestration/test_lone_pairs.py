@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pair that alone joins two groups is doubted by all that these see."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from multilica.config import CalibrationConfig
+from multilica.events import VerdictChanged
+from multilica.orchestration import lone_pairs
+from multilica.results import Reason, Verdict
+from tests.unit.acceptance.made_rig import linked, scored, true_pose
+from tests.unit.made_pairs import pose
+
+_REPEATS = Verdict("undecided", (Reason("held_by_repetition", 1.0, 4.6, "the scene repeats", scored(pose("a", "d"))),))
+_ELSEWHERE = pose("a", "d", (7.0, 0.0, 0.0))
+
+
+def _searched(target, source, other=True):
+    """A pair whose search found another pose that would count by itself."""
+    made = linked(target, source)
+    further = (scored(_ELSEWHERE, 300),) if other else ()
+    return replace(made, registrations=(*made.registrations, *further))
+
+
+@pytest.fixture
+def doubt(monkeypatch):
+    """Doubt pairs with a made verdict on groups; returns the undecided pairs, and the groups that were registered."""
+
+    def run(*pairs, verdict=_REPEATS):
+        asked, seen = [], []
+
+        def register(target, source, hypotheses, _):
+            asked.append((target, source))
+            start = hypotheses[0].T_target_source
+            assert start.distance_to(true_pose(start.target, start.source)) == pytest.approx((0.0, 0.0), abs=1e-9)
+            return SimpleNamespace(verdict=verdict)
+
+        def side_of(_, root, joined):
+            return lone_pairs.connected(root, joined)
+
+        monkeypatch.setattr(lone_pairs, "register_sides", register)
+        monkeypatch.setattr(lone_pairs, "_side_of", side_of)
+        registrations = {(pair.target, pair.source): pair for pair in pairs}
+        state = SimpleNamespace(registrations=registrations, config=CalibrationConfig(), observe=seen.append)
+        lone_pairs.doubt_lone_pairs(state)
+        undecided = [pair for pair in state.registrations.values() if pair.verdict.outcome == "undecided"]
+        assert [each.registration for each in seen if isinstance(each, VerdictChanged)] == undecided
+        return {pair.target + pair.source for pair in undecided}, asked
+
+    return run
+
+
+_GROUP = [linked("a", "b"), linked("b", "c"), linked("a", "c")]
+
+
+def test_a_lone_pair_goes_with_those_that_repeat_it(doubt):
+    implied = replace(linked("b", "d"), hypothesis=-1)
+    undecided, asked = doubt(*_GROUP, implied, _searched("a", "d"))
+    assert undecided == {"ad", "bd"}
+    assert asked == [({"a", "b", "c"}, {"d"})]
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        [*_GROUP, _searched("a", "d", other=False)],
+        [*_GROUP, linked("b", "d"), _searched("a", "d")],
+        [_searched("a", "d")],
+    ],
+    ids=["no other pose", "another search confirms it", "two LiDARs"],
+)
+def test_others_are_not_tested(doubt, pairs):
+    assert doubt(*pairs) == (set(), [])
+
+
+def test_groups_that_fit_at_one_pose_leave_it(doubt):
+    undecided, asked = doubt(*_GROUP, _searched("a", "d"), verdict=Verdict("accept"))
+    assert not undecided
+    assert len(asked) == 1
