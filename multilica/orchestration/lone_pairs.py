@@ -35,11 +35,10 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
             continue
         target, source = (_side_of(state, root, others) for root in (pair.target, pair.source))
         found = register_sides(target, source, [Hypothesis(pair.T_target_source)], state.config)
-        if found.verdict.outcome != "undecided":
-            continue
-        doubt = tuple(replace(reason, competing=None) for reason in found.verdict.reasons)
+        competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
+        doubt = tuple(replace(reason, competing=None) for reason in competing)
         for key, each in state.registrations.items():
-            if each in joining and len(each.lidars & members) == len(each.lidars & of_source) == 1:
+            if doubt and each in joining and len(each.lidars & members) == len(each.lidars & of_source) == 1:
                 _doubt(state, key, doubt)
 
 

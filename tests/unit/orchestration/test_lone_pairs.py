@@ -75,7 +75,11 @@ def test_others_are_not_tested(doubt, pairs):
     assert doubt(*pairs) == (set(), [])
 
 
-def test_groups_that_fit_at_one_pose_leave_it(doubt):
-    undecided, asked = doubt(*_GROUP, _searched("a", "d"), verdict=Verdict("accept"))
+_SLIDES = Verdict("undecided", (Reason("not_observable", 0.2, 0.15, "it slides"),))
+
+
+@pytest.mark.parametrize("verdict", [Verdict("accept"), _SLIDES], ids=["one pose", "no other pose"])
+def test_groups_that_fit_at_no_other_pose_leave_it(doubt, verdict):
+    undecided, asked = doubt(*_GROUP, _searched("a", "d"), verdict=verdict)
     assert not undecided
     assert len(asked) == 1
