@@ -34,8 +34,7 @@ def refine_rig(state: CalibrationState) -> None:
         lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
         if not lost:
             break
-        wrong = outlier(used, rig.refinement.pairs, residuals_of)
-        if wrong is not None and {wrong.target, wrong.source} <= watched:
+        if (wrong := outlier(used, rig.refinement.pairs, residuals_of)) and {wrong.target, wrong.source} <= watched:
             _doubt_pair(state, wrong)
             continue
         _doubt_pairs_of(state, lost)

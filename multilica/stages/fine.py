@@ -41,7 +41,7 @@ _SIGMA_MARGIN = 2.0
 _SLIDE_POSES = 2
 # Two registrations from different sides that end as near as this end at one pose.
 _SAME_END_M = 0.01
-# GICP from a known pose ends at the pose to which the fit to planes moves it by less.
+# If the fit to planes moves a known pose by less, GICP would lead to the same pose.
 _UNMOVED_M = 0.01
 # Points per LiDAR with which finalists are compared.
 _FINALIST_POINTS = 10_000
