@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.consistency import doubted_lidars
+from multilica.acceptance.consistency import doubted_lidars, outlier
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.orchestration.refinement import refine_rig
@@ -77,6 +77,13 @@ def test_two_wrong_pairs_tell_nothing():
     made = zip(_pairs("bc", by_m=0.3), _pairs("bd", by_m=-0.4), strict=True)
     result = result_of(_calibrated([other if one.lidars == {"b", "d"} else one for one, other in made], frames=2))
     assert not result["b"].placed
+
+
+@pytest.mark.parametrize(("of_others", "found"), [(0.9, True), (1e-9, False)])
+def test_a_pair_is_wrong_only_if_all_others_agree(of_others, found):
+    wrong = _residual("b", "c", 1e-12)
+    told = outlier(_pairs(), [wrong, _residual("a", "b", 1e-9)], lambda _: [_residual("a", "b", of_others)])
+    assert (told is wrong) is found
 
 
 @pytest.mark.parametrize(("by_m", "frames", "names"), [(0.083, 1, "abcd"), (-0.9, 1, "abcd"), (0.083, 2, "abc")])
