@@ -111,8 +111,7 @@ def search_log(
         start_ns = start_of(span, config, found.label)
         recorded = tuple(each for each in stops_recorded(found.files) if each[0] >= start_ns)
         if recorded and most >= len(recorded):
-            told = "`multilica record`"
-            return tuple(_stop(tuple(paths), each, "It was recorded.", span, config, told) for each in recorded)
+            return tuple(_recorded_stop(tuple(paths), each, span, config) for each in recorded)
         standstills = find_standstills(recording, (start_ns, span[1]), observe)
         require_standstill(standstills, found.label)
         chosen = _choose(recording, standstills, most)
@@ -161,6 +160,12 @@ def cloud_span(recording: Recording) -> Span | None:
 def _stop(paths: tuple[SourceFile, ...], at: Span, why: str, span: Span, config: IngestConfig, evidence: str) -> Stop:
     start_s, end_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in at)
     return Stop(paths, why, at, start_s, end_s, still_range(at, span, config, evidence))
+
+
+def _recorded_stop(paths: tuple[SourceFile, ...], at: Span, span: Span, config: IngestConfig) -> Stop:
+    """Return a stop that the recorder saved: each of its frames is wanted, wherever it lies in time."""
+    stop = _stop(paths, at, "It was recorded.", span, config, "`multilica record`")
+    return replace(stop, times=replace(stop.times, end_ns=at[1] + 1, is_dense=True) if stop.times else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

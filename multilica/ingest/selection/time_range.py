@@ -20,10 +20,16 @@ _MIN_NANOSECONDS = 10**17
 
 @dataclass(frozen=True, slots=True)
 class TimeRange:
-    """A range of log times; frames are spread up to `end_ns`, or taken one after the other if it is None."""
+    """A range of log times.
+
+    Args:
+        end_ns: exclusive; frames are spread up to it, or taken one after the other from the start on if it is None.
+        is_dense: True if frames are taken one after the other up to `end_ns`.
+    """
 
     start_ns: int = 0
     end_ns: int | None = None
+    is_dense: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -52,7 +58,7 @@ def find_time_range(recording: Recording, config: IngestConfig, label: str) -> T
         return TimeRange(start_ns, end_ns)
     left_s = (span[1] - start_ns) / _NS_PER_S
     note = f"The recording ends {left_s:.1f} s after the window begins; frames are spread over that time."
-    return TimeRange(start_ns, span[1] + 1, (note,))
+    return TimeRange(start_ns, span[1] + 1, notes=(note,))
 
 
 def parse_time_ns(text: str) -> int:
@@ -109,7 +115,7 @@ def still_range(standstill: Span, span: Span, config: IngestConfig, evidence: st
     end_ns = min(last_ns, first_ns + round(longest_s * _NS_PER_S))
     first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in standstill)
     note = f"The vehicle stands still from {first_s:.1f} to {last_s:.1f} s by {evidence}; frames are from there."
-    return TimeRange(first_ns, end_ns, (note,))
+    return TimeRange(first_ns, end_ns, notes=(note,))
 
 
 def require_standstill(found: Standstills, label: str) -> None:

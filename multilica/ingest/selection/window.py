@@ -209,8 +209,9 @@ def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeR
     """Fill the streams; return why reading ended early or what is known to be missing."""
     messages = until_full(recording, streams, times.start_ns)
     if times.end_ns is not None:
-        spread_ns = evenly(times.start_ns, times.end_ns, frames)
-        messages = (message for _, message in sampled(recording, streams.keys(), spread_ns, times.end_ns))
+        spread_ns = [times.start_ns] if times.is_dense else evenly(times.start_ns, times.end_ns, frames)
+        most = frames if times.is_dense else 1
+        messages = (message for _, message in sampled(recording, streams.keys(), spread_ns, times.end_ns, most))
     try:
         for message in messages:
             streams[message.topic].take(message)

@@ -6,14 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UsageError
-from multilica.ingest import TakenSnapshot
+from multilica.ingest import TakenSnapshot, read_drive
 from multilica.ingest.drive_recorder import join_stops, record_stops, take_stops
 from multilica.simulate import SimulatedDrive, simulate_drive
+from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
 from multilica.snapshot import Snapshot
 from tests.ingest.support.drive_logs import small_rig
 
@@ -32,6 +34,13 @@ def drive() -> Iterator[SimulatedDrive]:
 @pytest.fixture
 def moving(drive: SimulatedDrive) -> Snapshot:
     return Snapshot(tuple(replace(lidar, scans=lidar.scans[ON_WAY]) for lidar in drive.log.lidars))
+
+
+def late(snapshot: Snapshot, name: str) -> Snapshot:
+    """The snapshot with frames of one LiDAR that begin after those of the others have ended."""
+    later = (replace(scan, stamp_ns=scan.stamp_ns + 10**9) for scan in snapshot[name].scans)
+    moved = replace(snapshot[name], scans=tuple(later))
+    return replace(snapshot, lidars=tuple(moved if each.name == name else each for each in snapshot.lidars))
 
 
 def looks_at(*seen: Snapshot | TakenSnapshot | Exception) -> Callable[[], TakenSnapshot]:
@@ -107,6 +116,14 @@ def test_stops_are_joined_by_lidar(drive: SimulatedDrive) -> None:
     assert joined.notes == (*first.notes, "one is missing")
     assert spans[0] == drive.spans_ns[0]
     assert spans[0][1] < spans[1][0]
+
+
+def test_no_frame_is_lost_where_a_lidar_begins_late(drive: SimulatedDrive, tmp_path: Path) -> None:
+    joined, spans = join_stops([late(drive.snapshots[0], "rear"), late(drive.snapshots[1], "front")])
+    config = IngestConfig(frames=FRAMES)
+    write_snapshot_mcap(joined, tmp_path / "drive.mcap", metadata=window_metadata(config, "", spans))
+    stops = read_drive(tmp_path / "drive.mcap", "auto", config=config)
+    assert [[len(lidar.scans) for lidar in stop.lidars] for stop in stops] == [[FRAMES] * 2] * 2
 
 
 def test_one_frame_does_not_tell_whether_it_stands() -> None:
