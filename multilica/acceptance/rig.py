@@ -84,8 +84,11 @@ def _is_possible(competing: Registration, symmetry: RigidTransform, score_turned
 
 
 def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) -> Iterator[RigidTransform]:
-    """Yield motions of the scene, in the frame of a LiDAR of the pair, after which it looks the same to both."""
-    if not pair.registrations:
+    """Yield motions of the scene, in the frame of a LiDAR of the pair, after which it looks the same to both.
+
+    Two poses without enough evidence are both wrong, so that the motion between them says nothing.
+    """
+    if not pair.registrations or pair.evidence < config.min_evidence:
         return
     best = pair.T_target_source
     for other in competing_poses(pair.registrations, config):

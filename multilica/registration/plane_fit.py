@@ -18,7 +18,7 @@ from multilica.registration.plane_matches import (
     numbered,
 )
 from multilica.registration.poses import arc_between_m, moved
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, ring_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, posterior_step, ring_sigmas
 from multilica.results import BiasInformation, IndexArray
 
 # About as many tell how the gradient changes with the pose.
@@ -96,13 +96,13 @@ def fit_planes(
         )
         variance = _usual_variance(hessian, spread)
         gradient = weighted.T @ residuals.residual_m
-        known = posterior(hessian / variance, gradient / variance, biases, bias_sigmas, prior=prior)
-        step = known.step * _RELAXATION
+        step, used_prior = posterior_step(hessian / variance, gradient / variance, biases, bias_sigmas, prior=prior)
+        step = step * _RELAXATION
         pose, biases = moved(pose, step[:3], step[3:6]), biases + step[6:]
         longest_m = np.abs(step[:6] / _SCALE).max()
         if longest_m < _SETTLED_M:
             break
-        prior = known.prior if longest_m < _NEARLY_SETTLED_M else None
+        prior = used_prior if longest_m < _NEARLY_SETTLED_M else None
     if arc_between_m(pose, T_target_source) > DISTANCE_M:
         return pose_information(target, source, T_target_source, bias_sigmas)
     return _with_information(overlap, pose, biases, bias_sigmas)
@@ -156,9 +156,9 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     sigmas = np.concatenate([bias_sigmas, *of_rings])
     biases = np.concatenate([biases, np.zeros(len(sigmas) - len(bias_sigmas))])
     counts = [len(numbers) for numbers in rings]
-    first = posterior(hessian / variance, gradient, biases, sigmas, rings=counts)
+    first_step, first_prior = posterior_step(hessian / variance, gradient, biases, sigmas, counts)
 
-    left_m = residuals.residual_m + equations.changes(first.step)
+    left_m = residuals.residual_m + equations.changes(first_step)
     patches = numbered(np.floor(residuals.points_m / _PATCH_M))
     random = _squared(equations, patches, residuals.weight * left_m)
     systematic = surfaces.spread(left_m) + _OF_PATCHES * random
@@ -168,11 +168,11 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     information, gradient, spread, random, few = _weighted(
         hessian / variance, gradient, *(each / variance**2 for each in (spread, random, few))
     )
-    solved = partial(posterior, biases=biases, sigmas=sigmas, rings=counts, prior=first.prior)
+    solved = partial(posterior, biases=biases, sigmas=sigmas, rings=counts, prior=first_prior)
     excess = _excess(solved(information, gradient).covariance, solved(information, gradient, spread=spread).covariance)
     information, gradient = information / excess, gradient / excess
     spread, random, few = (each / excess**2 for each in (spread, random, few))
-    known = posterior(information, gradient, biases, sigmas, spread, random, counts, begin=first.prior)
+    known = posterior(information, gradient, biases, sigmas, spread, random, counts, begin=first_prior)
     gradient, biases = gradient + information @ known.step, biases + known.step[6:]
     of_biases = BiasInformation(information, gradient, spread, random, biases, target_rings, source_rings, few)
     pose = moved(pose, known.step[:3], known.step[3:6])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dpotrf, dpotri
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
@@ -171,21 +171,49 @@ def posterior(
     shown = size - RING_BIAS_COUNT * sum(rings)
     if prior is None:
         prior = _prior_of_all(information, gradient, biases, sigmas, rings, begin)
-    total, known = information.copy(), np.zeros((size, size))
-    total[poses:, poses:] += prior.information
-    known[poses:, poses:] = prior.information + prior.uncertain
-    pulled = gradient.copy()
-    pulled[poses:] += prior.information @ biases
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
-    wanted = np.column_stack([-scale * pulled, np.diag(scale)[:, :shown]])
-    solved = scale[:, None] * _solved(total * np.outer(scale, scale), wanted)
+    solved = _solved_with(prior, information, np.column_stack([-_pulled(gradient, biases, prior), np.eye(size, shown)]))
     bread = solved[:, 1:].T
-    full = bread @ ((information if spread is None else spread) + known) @ bread.T
+    of_biases = bread[:, poses:]
+    full = bread @ (information if spread is None else spread) @ bread.T
+    full += of_biases @ (prior.information + prior.uncertain) @ of_biases.T
     repeated = full if random_spread is None else bread @ random_spread @ bread.T
     of_scenes = np.resize(_POSITION, poses) / (np.repeat(scenes, len(_POSITION)) if scenes else 1.0)
     covariance = full[:poses, :poses] + _SCENE_SIGMA_M**2 * np.diag(of_scenes)
     bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: shown - poses])
     return BiasPosterior(solved[:, 0], covariance, repeated[:poses, :poses], bias_sigmas, prior)
+
+
+def posterior_step(
+    information: FloatArray,
+    gradient: FloatArray,
+    biases: FloatArray,
+    sigmas: FloatArray,
+    rings: Sequence[int] = (),
+    prior: BiasPrior | None = None,
+) -> tuple[FloatArray, BiasPrior]:
+    """Return the step (N,) of `posterior` and its prior; without the covariance, this takes less time."""
+    if prior is None:
+        prior = _prior_of_all(information, gradient, biases, sigmas, rings, None)
+    return _solved_with(prior, information, -_pulled(gradient, biases, prior)), prior
+
+
+def _pulled(gradient: FloatArray, biases: FloatArray, prior: BiasPrior) -> FloatArray:
+    """Add the pull of the prior to the gradient."""
+    pulled = gradient.copy()
+    pulled[len(gradient) - len(biases) :] += prior.information @ biases
+    return pulled
+
+
+def _solved_with(prior: BiasPrior, information: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve the equations (N, N) with the prior of the biases for one or more right sides (N,) or (N, M)."""
+    total = information.copy()
+    poses = len(information) - len(prior.information)
+    total[poses:, poses:] += prior.information
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
+    total *= scale[:, None]
+    total *= scale
+    of_rows = scale if right.ndim == 1 else scale[:, None]
+    return of_rows * _solved(total, of_rows * right)
 
 
 def _groups(biases: int, rings: Sequence[int]) -> tuple[list[IndexArray], list[IndexArray]]:
@@ -260,7 +288,17 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def _inverse(matrix: FloatArray) -> FloatArray:
     """Invert a covariance or an information."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    return _solved(matrix * np.outer(scale, scale), np.diag(scale)) * scale[:, None]
+    scaled = matrix * scale[:, None]
+    scaled *= scale
+    factor, not_positive = dpotrf(scaled, clean=0)
+    if not_positive:
+        inverse = np.linalg.pinv(scaled, hermitian=True)
+    else:
+        upper = np.triu(dpotri(factor, overwrite_c=1)[0])
+        inverse = upper + np.triu(upper, 1).T
+    inverse *= scale[:, None]
+    inverse *= scale
+    return np.asarray(inverse)
 
 
 def _prior(information: FloatArray, pull: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -112,16 +112,19 @@ def choose_target(
 ) -> tuple[str, str]:
     """Choose the root of the result: the LiDAR that the user asks for, if any, else the one with the most overlap.
 
+    Uncertain pairs count where no pair is accepted: they join LiDARs as well.
+
     Returns:
         The name of the target and the reason in words.
     """
     if asked_for:
         return asked_for, "set by --target"
+    joining = [pair for pair in pairs if pair.verdict.accepted]
+    joining = joining or [pair for pair in pairs if pair.verdict.outcome == "uncertain"]
     overlap = dict.fromkeys(clouds, 0.0)
-    for pair in pairs:
-        if pair.verdict.accepted:
-            overlap[pair.target] += pair.fitness
-            overlap[pair.source] += pair.fitness
+    for pair in joining:
+        overlap[pair.target] += pair.fitness
+        overlap[pair.source] += pair.fitness
     best = max(overlap, key=lambda name: (overlap[name], len(clouds[name].points_m)))
     if overlap[best] == 0.0:
         return best, "most points, as no pair was accepted"

@@ -14,6 +14,7 @@ from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     RING_BIAS_COUNT,
     posterior,
+    posterior_step,
     prior_sigmas,
     ring_sigmas,
 )
@@ -109,22 +110,25 @@ def refine(
     prior = None
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used, state, config)
-        known = posterior(
-            equations.information,
-            equations.gradient,
-            state.biases,
-            sigmas,
-            equations.spread,
-            equations.random_spread,
-            counts,
-            prior,
-            scenes=scenes,
+        step, used_prior = posterior_step(
+            equations.information, equations.gradient, state.biases, sigmas, counts, prior
         )
-        state = state.moved(known.step)
-        longest = np.abs(known.step).max()
+        state = state.moved(step)
+        longest = np.abs(step).max()
         if longest < _EPSILON:
             break
-        prior = known.prior if longest < _SETTLED else None
+        prior = used_prior if longest < _SETTLED else None
+    known = posterior(
+        equations.information,
+        equations.gradient,
+        state.biases,
+        sigmas,
+        equations.spread,
+        equations.random_spread,
+        counts,
+        used_prior,
+        scenes=scenes,
+    )
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
