@@ -9,7 +9,7 @@ import pytest
 from multilica.acceptance.rig import check_scene_symmetry
 from multilica.config import AcceptanceConfig
 from tests.unit.acceptance.made_rig import registered, scored
-from tests.unit.made_pairs import ACCEPTED, UNCERTAIN, pose, undecided
+from tests.unit.made_pairs import ACCEPTED, UNCERTAIN, pair, pose, undecided
 
 _CONFIG = AcceptanceConfig()
 # The hall looks the same turned about the point (2, 0) of the first LiDAR's frame.
@@ -106,6 +106,14 @@ def test_a_pose_with_much_less_evidence_shows_no_symmetry():
     seen = registered(_SEEN)
     seen = replace(seen, registrations=(*seen.registrations, scored(_SYMMETRY @ _SEEN, 20)))
     pairs = [seen, registered(_OTHER)]
+    assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG) == pairs
+
+
+def test_two_wrong_poses_show_no_symmetry():
+    poses = _SEEN, _SYMMETRY @ _SEEN
+    refused = pair(_SEEN, undecided("ambiguous"), registrations=tuple(scored(each, violate=200) for each in poses))
+    assert refused.evidence < 0.0
+    pairs = [refused, registered(_OTHER)]
     assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG) == pairs
 
 

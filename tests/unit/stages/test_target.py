@@ -3,7 +3,7 @@ import numpy as np
 
 from multilica.results import PreprocessedCloud
 from multilica.stages.pair_choice import choose_target
-from tests.unit.made_pairs import pair, pose, undecided
+from tests.unit.made_pairs import UNCERTAIN, pair, pose, undecided
 
 _CLOUDS = {
     name: PreprocessedCloud(name, np.zeros((count, 3)), np.zeros((count, 3)))
@@ -31,3 +31,9 @@ def test_with_equal_overlap_the_most_points_decide():
 def test_without_an_accepted_pair_the_most_points_decide():
     pairs = [pair(pose("a", "c"), undecided("ambiguous"))]
     assert choose_target("", _CLOUDS, pairs) == ("b", "most points, as no pair was accepted")
+
+
+def test_uncertain_pairs_choose_the_target_where_none_is_accepted():
+    pairs = [pair(pose("a", "c"), UNCERTAIN, fitness=0.2), pair(pose("a", "b"), undecided("ambiguous"))]
+    assert choose_target("", _CLOUDS, pairs)[0] == "c"
+    assert choose_target("", _CLOUDS, [*pairs, pair(pose("a", "b"), fitness=0.1)])[0] == "b"
