@@ -250,11 +250,11 @@ def _prior_of_all(
     pull = reduced @ biases - pull
     of_lidars, of_rings = _groups(len(biases), rings)
     for _ in range(_SWEEPS if begin is None else 1):
-        covariance = _inverse(reduced + prior)
+        covariance = _inverted(reduced + prior)
         means = covariance @ pull
         for group in (*of_lidars, *of_rings):
             block = np.ix_(group, group)
-            own = _inverse(covariance[block])
+            own = _inverted(covariance[block])
             prior[block], uncertain[block] = _prior(own - prior[block], own @ means[group], sigmas[group])
     for group in of_lidars:
         block = np.ix_(group, group)
@@ -285,20 +285,23 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right if not_positive else solution)
 
 
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Invert a covariance or an information."""
+def _inverted(matrix: FloatArray) -> FloatArray:
+    """Invert a covariance or an information (N, N) in its own memory."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    scaled = matrix * scale[:, None]
-    scaled *= scale
-    factor, not_positive = dpotrf(scaled, clean=0)
+    matrix *= scale[:, None]
+    matrix *= scale
+    factor, not_positive = dpotrf(matrix.T, clean=0)
     if not_positive:
-        inverse = np.linalg.pinv(scaled, hermitian=True)
+        matrix[:] = np.linalg.pinv(matrix, hermitian=True)
     else:
-        upper = np.triu(dpotri(factor, overwrite_c=1)[0])
-        inverse = upper + np.triu(upper, 1).T
-    inverse *= scale[:, None]
-    inverse *= scale
-    return np.asarray(inverse)
+        upper, _ = dpotri(factor, overwrite_c=1)
+        matrix[:] = np.triu(upper)
+        del factor, upper
+        for row in range(1, len(matrix)):
+            matrix[row, :row] = matrix[:row, row]
+    matrix *= scale[:, None]
+    matrix *= scale
+    return matrix
 
 
 def _prior(information: FloatArray, pull: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:

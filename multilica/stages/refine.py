@@ -2,7 +2,7 @@
 """Joint refinement of all poses of a rig."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -109,26 +109,15 @@ def refine(
     scenes = [_scenes_of(name, used_pairs) for name in free] + [1] * len(free_stops)
     prior = None
     for _ in range(_ITERATIONS):
-        equations = _normal_equations(used, state, config)
-        step, used_prior = posterior_step(
-            equations.information, equations.gradient, state.biases, sigmas, counts, prior
-        )
-        state = state.moved(step)
+        information, gradient = _normal_equations(used, state, config)
+        step, used_prior = posterior_step(information, gradient, state.biases, sigmas, counts, prior)
+        end, state = state, state.moved(step)
         longest = np.abs(step).max()
         if longest < _EPSILON:
             break
         prior = used_prior if longest < _SETTLED else None
-    known = posterior(
-        equations.information,
-        equations.gradient,
-        state.biases,
-        sigmas,
-        equations.spread,
-        equations.random_spread,
-        counts,
-        used_prior,
-        scenes=scenes,
-    )
+    spreads = _spreads(used, end, config)
+    known = posterior(information, gradient, end.biases, sigmas, *spreads, counts, used_prior, scenes=scenes)
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
@@ -141,16 +130,6 @@ def refine(
         {name: known.covariance[block, block] for name, block in of_stops.items()},
         residuals[len(used_pairs) :],
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
-    """Information (N, N), gradient (N,) and covariance of the gradient of all poses, then all biases."""
-
-    information: FloatArray
-    gradient: FloatArray
-    spread: FloatArray
-    random_spread: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,70 +223,88 @@ def _weight(squared: float, config: RefineConfig) -> float:
     return 1.0 / (1.0 + squared / (_POSE_FREEDOM * config.outlier_sigma**2))
 
 
-def _normal_equations(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> _Equations:
-    """Sum over the pairs, each with its robust weight."""
-    of_poses = state.views.columns
-    size = of_poses + len(state.biases)
-    total = _Equations(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros((size, size)))
-    snapshots = Counter((pair.target.lidar, pair.source.lidar) for pair in pairs if not pair.is_link)
-    for pair in pairs:
-        weight = _weight(_squared(pair, state), config)
-        biases = state.bias_columns(pair.registration)
-        jacobian, moving = state.views.jacobian(pair)
-        columns = np.concatenate([moving, of_poses + biases])
-        times = 1 if pair.is_link else snapshots[pair.target.lidar, pair.source.lidar]
-        own = _equations_of(pair.registration, state.biases[biases], state.views.offset(pair), times)
-        columns, own = _summed(
-            columns,
-            _Equations(
-                _by_poses(own.information, jacobian),
-                np.concatenate([jacobian.T @ own.gradient[:6], own.gradient[6:]]),
-                _by_poses(own.spread, jacobian),
-                _by_poses(own.random_spread, jacobian),
-            ),
-        )
-        square = np.ix_(columns, columns)
-        total.information[square] += weight * own.information
-        total.gradient[columns] += weight * own.gradient
-        total.spread[square] += weight**2 * own.spread
-        total.random_spread[square] += weight**2 * own.random_spread
-    if any(pair.is_link for pair in pairs):
-        known = np.resize(UNKNOWN, of_poses) ** -2.0  # links may leave poses open
-        for matrix in (total.information, total.spread, total.random_spread):
-            matrix[np.arange(of_poses), np.arange(of_poses)] += known
-    return total
-
-
-def _summed(columns: IndexArray, own: _Equations) -> tuple[IndexArray, _Equations]:
-    """Sum what belongs to one unknown: both sides of a LiDAR that is registered with itself have its biases."""
-    unique, places = np.unique(columns, return_inverse=True)
-    if len(unique) == len(columns):
-        return columns, own
-    sums = np.zeros((len(unique), len(columns)))
-    sums[places, np.arange(len(columns))] = 1.0
-    square = (sums @ matrix @ sums.T for matrix in (own.information, own.spread, own.random_spread))
-    information, spread, random_spread = square
-    return unique, _Equations(information, sums @ own.gradient, spread, random_spread)
-
-
-def _by_poses(matrix: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Turn a sum of products by the pair's pose and biases into one by the LiDARs' poses and the biases."""
-    mixed = jacobian.T @ matrix[:6, 6:]
-    return np.block([[jacobian.T @ matrix[:6, :6] @ jacobian, mixed], [mixed.T, matrix[6:, 6:]]])
-
-
-def _equations_of(pair: PairRegistration, biases: FloatArray, offset: FloatArray, snapshots: int) -> _Equations:
-    """Return those of one pair, of its pose and perhaps of the biases of target and source.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Share:
+    """What a pair adds to the sums over all poses and biases.
 
     Args:
+        weight: robust.
+        jacobian: (6, K) of the pair's pose by the poses of its views.
+        columns: (K + B,) of those poses and of the pair's biases. A LiDAR that is registered with itself has its biases
+            on both sides.
         snapshots: that have the pair.
     """
-    found = pair.bias_information
-    if found is None:
-        information = np.asarray(pair.information)
-        return _Equations(information, information @ offset, information, information)
-    gradient = found.gradient + found.information @ np.concatenate([offset, biases - found.biases])
-    return _Equations(found.information, gradient, found.spread_among(snapshots), found.random_spread)
+
+    pair: PairRegistration
+    weight: float
+    jacobian: FloatArray
+    columns: IndexArray
+    snapshots: int
+
+    def gradient(self, state: _State, offset: FloatArray) -> FloatArray:
+        """Return that of the poses and biases (K + B,)."""
+        found = self.pair.bias_information
+        if found is None:
+            return np.asarray(self.jacobian.T @ np.asarray(self.pair.information) @ offset)
+        biases = state.biases[state.bias_columns(self.pair)]
+        own = found.gradient + found.information @ np.concatenate([offset, biases - found.biases])
+        return np.concatenate([self.jacobian.T @ own[:6], own[6:]])
+
+    def add(self, matrix: FloatArray, total: FloatArray, weight: float) -> None:
+        """Add a matrix (6 + B, 6 + B) by the pair's pose and biases to that of all poses and biases."""
+        mixed = self.jacobian.T @ matrix[:6, 6:]
+        turned = np.block([[self.jacobian.T @ matrix[:6, :6] @ self.jacobian, mixed], [mixed.T, matrix[6:, 6:]]])
+        columns, places = np.unique(self.columns, return_inverse=True)
+        if len(columns) == len(self.columns):
+            columns = self.columns
+        else:
+            sums = np.zeros((len(columns), len(self.columns)))
+            sums[places, np.arange(len(self.columns))] = 1.0
+            turned = sums @ turned @ sums.T
+        total[np.ix_(columns, columns)] += weight * turned
+
+
+def _shares(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> Iterator[tuple[ViewPair, _Share]]:
+    snapshots = Counter((pair.target.lidar, pair.source.lidar) for pair in pairs if not pair.is_link)
+    for pair in pairs:
+        jacobian, moving = state.views.jacobian(pair)
+        columns = np.concatenate([moving, state.views.columns + state.bias_columns(pair.registration)])
+        times = 1 if pair.is_link else snapshots[pair.target.lidar, pair.source.lidar]
+        yield pair, _Share(pair.registration, _weight(_squared(pair, state), config), jacobian, columns, times)
+
+
+def _normal_equations(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> tuple[FloatArray, FloatArray]:
+    """Return information (N, N) and gradient (N,) of all poses, then all biases."""
+    size = state.views.columns + len(state.biases)
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    for pair, share in _shares(pairs, state, config):
+        found = pair.registration.bias_information
+        own = np.asarray(pair.registration.information) if found is None else found.information
+        share.add(own, information, share.weight)
+        np.add.at(gradient, share.columns, share.weight * share.gradient(state, state.views.offset(pair)))
+    _hold_open(information, pairs, state)
+    return information, gradient
+
+
+def _spreads(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (N, N) of the gradient, and the part of it that random errors cause."""
+    size = state.views.columns + len(state.biases)
+    spread, random = np.zeros((size, size)), np.zeros((size, size))
+    for pair, share in _shares(pairs, state, config):
+        found, squared = pair.registration.bias_information, share.weight**2
+        own = np.asarray(pair.registration.information)
+        share.add(own if found is None else found.spread_among(share.snapshots), spread, squared)
+        share.add(own if found is None else found.random_spread, random, squared)
+    _hold_open(spread, pairs, state)
+    _hold_open(random, pairs, state)
+    return spread, random
+
+
+def _hold_open(matrix: FloatArray, pairs: Sequence[ViewPair], state: _State) -> None:
+    """Add a wide prior of the poses if there are links, which may leave some of them open."""
+    if any(pair.is_link for pair in pairs):
+        poses = np.arange(state.views.columns)
+        matrix[poses, poses] += np.resize(UNKNOWN, len(poses)) ** -2.0
 
 
 def _sensor_biases(state: _State, sigmas: FloatArray) -> tuple[SensorBias, ...]:

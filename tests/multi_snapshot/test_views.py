@@ -16,7 +16,7 @@ from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import CalibrationResult, DriveView, LidarPlacement, LinkedStops, Reason, Verdict
-from multilica.stages.refine import _Equations, _summed, refine
+from multilica.stages.refine import _Share, refine
 from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
 from tests.selection import some_of
 from tests.unit.derivatives import assert_alike, derivative
@@ -320,13 +320,11 @@ def test_covariances_that_are_too_small_invent_no_knock(seed):
 
 
 def test_both_sides_of_a_lidar_with_itself_share_its_biases():
-    """The sums of a link with seven unknowns, the last of which is an earlier one again."""
+    """The sums of a link by its pose and three biases, the last of which is an earlier one again."""
     rng = np.random.default_rng(13)
-    rows = rng.normal(size=(20, 7))
-    matrix = rows.T @ rows
-    columns, found = _summed(np.array([0, 1, 2, 3, 4, 8, 4]), _Equations(matrix, rows.sum(axis=0), matrix, matrix))
-    shared = np.column_stack([rows[:, :4], rows[:, 4] + rows[:, 6], rows[:, 5]])
-    assert columns.tolist() == [0, 1, 2, 3, 4, 8]
-    np.testing.assert_allclose(found.information, shared.T @ shared)
-    np.testing.assert_allclose(found.spread, shared.T @ shared)
-    np.testing.assert_allclose(found.gradient, shared.sum(axis=0))
+    rows = rng.normal(size=(20, 9))
+    (link,) = pairs("A1-A2", rng)
+    total = np.zeros((10, 10))
+    _Share(link.registration, 1.0, np.eye(6), np.array([0, 1, 2, 3, 4, 5, 8, 9, 8]), 1).add(rows.T @ rows, total, 0.5)
+    shared = np.column_stack([rows[:, :6], np.zeros((20, 2)), rows[:, 6] + rows[:, 8], rows[:, 7]])
+    np.testing.assert_allclose(total, 0.5 * shared.T @ shared, atol=1e-12)
