@@ -256,6 +256,7 @@ def _prior_of_all(
             block = np.ix_(group, group)
             own = _inverted(covariance[block])
             prior[block], uncertain[block] = _prior(own - prior[block], own @ means[group], sigmas[group])
+        del covariance  # two of them take too much memory
     for group in of_lidars:
         block = np.ix_(group, group)
         uncertain[block] += _OF_FEW_LIDARS * (prior[block] + uncertain[block])
@@ -295,10 +296,9 @@ def _inverted(matrix: FloatArray) -> FloatArray:
         matrix[:] = np.linalg.pinv(matrix, hermitian=True)
     else:
         upper, _ = dpotri(factor, overwrite_c=1)
-        matrix[:] = np.triu(upper)
-        del factor, upper
+        matrix[:] = upper.T
         for row in range(1, len(matrix)):
-            matrix[row, :row] = matrix[:row, row]
+            matrix[:row, row] = matrix[row, :row]
     matrix *= scale[:, None]
     matrix *= scale
     return matrix

@@ -110,14 +110,15 @@ def refine(
     prior = None
     for _ in range(_ITERATIONS):
         information, gradient = _normal_equations(used, state, config)
-        step, used_prior = posterior_step(information, gradient, state.biases, sigmas, counts, prior)
+        step, prior = posterior_step(information, gradient, state.biases, sigmas, counts, prior)
         end, state = state, state.moved(step)
         longest = np.abs(step).max()
         if longest < _EPSILON:
             break
-        prior = used_prior if longest < _SETTLED else None
+        if longest >= _SETTLED:
+            prior = None
     spreads = _spreads(used, end, config)
-    known = posterior(information, gradient, end.biases, sigmas, *spreads, counts, used_prior, scenes=scenes)
+    known = posterior(information, gradient, end.biases, sigmas, *spreads, counts, prior, scenes=scenes)
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
