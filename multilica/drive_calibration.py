@@ -21,7 +21,14 @@ from multilica.multi_snapshot.motions import OPEN_M
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, FoundLinks, follow_motions, follow_poses, search_links
+from multilica.orchestration.links import (
+    MAX_LINKED_STOPS,
+    FoundLinks,
+    follow_motions,
+    follow_poses,
+    mark_unique,
+    search_links,
+)
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
@@ -149,6 +156,9 @@ def _link(
     with threadpool_limits(1):
         found = search_links(stops, config, workers, deadline_s)
         result = joined(found)
+        if found.links and time.monotonic() < deadline_s and any(not each.placed for each in result.placements):
+            found = mark_unique(stops, config, workers, found)
+            result = joined(found)
         if confirmed := _confirmed(stops, found, result):
             found = replace(found, links=(*found.links, *confirmed))
             result = joined(found)

@@ -73,7 +73,8 @@ class ViewSolution:
     def is_confirmed(self, link: ViewPair) -> bool:
         """Return whether the others tell where the link has to be, if only roughly along one axis.
 
-        A height that no drive on a plane tells may stay open.
+        A height that no drive on a plane tells may stay open. Of a link that fits at no other place, the others need to
+        tell only the attitude: a hall that looks the same when turned would turn it.
 
         They do not if one of its LiDARs has no pose here.
         """
@@ -85,6 +86,8 @@ class ViewSolution:
         inverse = np.linalg.inv(information + _prior(len(information)))
         scale = np.repeat([LEVER_ARM_M, 1.0], 3)
         covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
+        if link.is_unique and np.linalg.eigvalsh(covariance[:3, :3])[-1] < _CONFIRMED_M**2:
+            return True
         variances, directions = np.linalg.eigh(covariance)
         loose = directions[:, variances > _CONFIRMED_M**2]
         if loose.shape[1] == 0 or (loose.shape[1] == 1 and variances[-1] < _ALONG_ONE_AXIS_M**2):

@@ -12,6 +12,7 @@ from multilica.orchestration.pairs import (
     PreparedLidar,
     SearchRequest,
     lead_along_slide,
+    lead_over_shifts,
     priority_of,
     register_implied,
     score_implied,
@@ -84,6 +85,22 @@ def search_links(
         workers.forget()
     weak = tuple(link for pair, link in search.weak.items() if pair not in search.links)
     return FoundLinks(tuple(search.links.values()), weak, tuple(sorted(search.not_reached)), levels=search.levels)
+
+
+def mark_unique(
+    stops: Sequence[DriveStop], config: CalibrationConfig, workers: Workers, found: FoundLinks
+) -> FoundLinks:
+    """Mark the links that fit at no place beside their own, so that others need to tell only their attitude."""
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    counting = [link for link in found.links if link.counts]
+    try:
+        search.share()
+        leads = [*workers.map(lead_over_shifts, [link.registration.registrations[0] for link in counting])]
+    finally:
+        workers.forget()
+    margin = config.acceptance.min_log_odds_margin
+    marked = {id(link): replace(link, is_unique=lead >= margin) for link, lead in zip(counting, leads, strict=True)}
+    return replace(found, links=tuple(marked.get(id(link), link) for link in found.links))
 
 
 def follow_motions(
@@ -187,7 +204,7 @@ class _LinkSearch:
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
-        views = self._share()
+        views = self.share()
         if self.graph().is_determined:
             self.loops_per_view = _LOOPS_IF_DETERMINED
         pairs = self.between_stops
@@ -220,7 +237,7 @@ class _LinkSearch:
 
     def follow(self, motions: Sequence[ViewPair]) -> None:
         """Register pairs of views from the poses that motions imply, then from those that these links imply."""
-        self._share()
+        self.share()
         implied = self._implied(self.graph(motions))
         if self._is_late(implied):
             return
@@ -240,12 +257,12 @@ class _LinkSearch:
                 implied[pair] = poses[target].inverse() @ poses[source]
         if not implied or self._is_late(implied):
             return
-        self._share()
+        self.share()
         self.loops_per_view = len(of_label)
         self._register(implied, score_roughly, least_evidence(self.config))
         self._doubt_slid()
 
-    def _share(self) -> dict[DriveView, PreparedLidar]:
+    def share(self) -> dict[DriveView, PreparedLidar]:
         self.levels = levels_of(self.stops, self.config)
         views = prepare_views(self.stops, self.levels, self.config)
         for view, prepared in views.items():

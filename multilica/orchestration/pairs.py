@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """LiDARs prepared for the stages of pairs, and search and registration of single pairs, as tasks for workers."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,7 @@ from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
 from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
+from multilica.visibility.plans import shifted_poses
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,
@@ -251,6 +253,21 @@ def lead_along_slide(lidars: Shared, found: Registration) -> tuple[float, float]
         for way_m in (*ways_m, *-ways_m)
     )
     return min(leads)
+
+
+def lead_over_shifts(lidars: Shared, found: Registration) -> float:
+    """Compare a pose by beams with those at which the plans of both LiDARs coincide after a shift.
+
+    Returns:
+        By how much it is likelier than the likeliest of them, negative if it is less likely.
+    """
+    pose = found.T_target_source
+    target, source = (lidars[name] for name in (pose.target, pose.source))
+    if target.view is None or source.view is None:
+        return -math.inf
+    shifted = shifted_poses(target.view.alone, source.view.alone, pose, target.config.acceptance.max_baseline_m)
+    known = score_roughly(lidars, pose)
+    return min((known.lead_over(score_roughly(lidars, each)) for each in shifted), default=math.inf)
 
 
 def register_sides(

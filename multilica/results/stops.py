@@ -31,11 +31,13 @@ class ViewPair:
     Args:
         registration: its target and source are LiDARs, the same one for a LiDAR that is registered with itself.
         target_stop, source_stop: the same stop for a pair within it.
+        is_unique: with the same attitude, it fits at no other place nearly as well.
     """
 
     registration: PairRegistration
     target_stop: str
     source_stop: str
+    is_unique: bool = False
 
     @property
     def target(self) -> DriveView:

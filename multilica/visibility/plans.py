@@ -28,6 +28,9 @@ _AROUND_M = 2.0
 # long as the plans.
 _REPEATED_SHARE = 0.75
 _MAX_REPEATED = 3
+# Of links between stops, fewer cells may coincide, and more shifts are scored.
+_SHIFTED_SHARE = 0.3
+_MAX_SHIFTED = 16
 # Surfaces steeper than 45 deg are walls.
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
 # Normals of one surface differ by 10 deg.
@@ -135,17 +138,49 @@ def repeated_hypotheses(
         up: (3,) unit, one of `main_axes`.
     """
     pose = start.T_target_source
+    return [
+        replace(start, T_target_source=each, derivation=f"{REPEATED} after {pose.distance_to(each)[0]:.1f} m")
+        for each in _shifted(targets, sources, pose, up, _REPEATED_SHARE, max_baseline_m, _MAX_REPEATED)
+    ]
+
+
+def shifted_poses(
+    targets: Sequence[PlacedView], sources: Sequence[PlacedView], pose: RigidTransform, max_baseline_m: float
+) -> list[RigidTransform]:
+    """Find all poses at which a good part of what stands above the ground coincides after a shift.
+
+    Equal houses and rails with posts repeat over a street of which each LiDAR sees another part, so that the plans
+    share less after a shift than at `repeated_hypotheses`.
+
+    Args:
+        targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
+        pose: ``T_target_source`` between the roots.
+    """
+    return [
+        each
+        for up in main_axes(targets, sources, pose)
+        for each in _shifted(targets, sources, pose, up, _SHIFTED_SHARE, max_baseline_m, _MAX_SHIFTED)
+    ]
+
+
+def _shifted(
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    pose: RigidTransform,
+    up: FloatArray,
+    share: float,
+    max_baseline_m: float,
+    most: int,
+) -> list[RigidTransform]:
+    """Find poses after a shift, and after the opposite one, at which a share of what coincides at a pose does again."""
     standing_m, seen_m = _above_ground(targets, up), pose.rotate(_above_ground(sources, pose.rotation.T @ up))
-    shifted = _coinciding(standing_m, seen_m, pose, up, (0,), _REPEATED_SHARE, max_baseline_m, _MAX_REPEATED)
+    shifted = _coinciding(standing_m, seen_m, pose, up, (0,), share, max_baseline_m, most)
     kept: list[RigidTransform] = []
     for shift_m in (side * (each.xyz_m - pose.xyz_m) for each in shifted for side in (1.0, -1.0)):
         repeated = moved(pose, np.zeros(3), shift_m)
         if is_near(repeated, max_baseline_m) and is_distinct(repeated, kept, _APART_M):
             kept.append(repeated)
-    return [
-        replace(start, T_target_source=each, derivation=f"{REPEATED} after {pose.distance_to(each)[0]:.1f} m")
-        for each in kept
-    ]
+    return kept
 
 
 def _coinciding(

@@ -83,12 +83,14 @@ def test_a_drive_that_turns_places_lidars_without_a_common_view():
         assert np.abs((places[0].inverse() @ places[1]).matrix - stop.T_first_stop.matrix).max() < 0.02
 
 
-def test_with_a_half_turn_nothing_confirms_a_link():
-    """Stops that are half a turn apart tell no position between them, so that a wrong link could fit as well."""
+def test_with_a_half_turn_links_count_that_fit_nowhere_else():
+    """Stops that are half a turn apart tell no position between them: each link has to fit at one place only."""
     result = _calibrated((*_TURNING[:2], (1.0, 6.0, 180.0)))
-    assert "no other link confirms it" in {link.reason for link in result.links}
-    assert not any(link.used for link in result.links)
-    assert sum(each.placed for each in result.placements) == 1
+    (other,) = {*_LIDARS} - {result.target}
+    assert result[other].placed
+    metres, radians = _error(result, other)
+    assert metres < 0.02
+    assert np.rad2deg(radians) < 0.2
 
 
 def test_the_document_and_the_map_have_the_stops():

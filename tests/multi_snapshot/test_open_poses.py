@@ -46,6 +46,19 @@ def test_one_axis_may_be_told_roughly(sigma_m, is_confirmed):
     assert solve_views("A", [link, rough]).is_confirmed(link) == is_confirmed
 
 
+@pytest.mark.parametrize(
+    ("sigmas", "is_confirmed"),
+    [([0.01, 0.01, 0.01, 9.0, 9.0, 9.0], True), ([0.01, 0.01, 0.2, 1.0, 0.01, 0.01], False)],
+    ids=["the attitude is told", "it is not"],
+)
+def test_of_a_unique_link_only_the_attitude_has_to_be_told(sigmas, is_confirmed):
+    link, other = pair("A1", "A2"), pair("A1", "A2")
+    rough = replace(other, registration=replace(other.registration, information=np.diag(np.array(sigmas) ** -2.0)))
+    unique = replace(link, is_unique=True)
+    assert not solve_views("A", [link, rough]).is_confirmed(link)
+    assert solve_views("A", [unique, rough]).is_confirmed(unique) == is_confirmed
+
+
 def test_a_pose_that_links_leave_open_has_a_wide_covariance():
     rig = _refined(_CROSSED).rig
     for name in rig.poses.keys() - {"A"}:

@@ -14,6 +14,7 @@ from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
     lead_along_slide,
+    lead_over_shifts,
     prepare_lidar,
     register_implied,
     score_implied,
@@ -21,7 +22,7 @@ from multilica.orchestration.pairs import (
 )
 from multilica.registration.poses import moved
 from multilica.results import PRIOR, Hypothesis, Verdict
-from tests.unit.made_rooms import HALL, scan
+from tests.unit.made_rooms import HALL, Face, box, scan
 
 _CONFIG = CalibrationConfig()
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
@@ -150,3 +151,24 @@ def test_a_place_along_the_slide_may_fit_better(lidars, off_m):
     assert (lead < 0.0) == (off_m > 0.0)
     assert away_m >= 2.0
     assert off_m == 0.0 or away_m == pytest.approx(off_m, abs=0.1)
+
+
+_PERIOD_M = 6.0
+_ROW = [
+    Face(2, 0.0, (-60.0, -20.0, 0.0), (60.0, 20.0, 0.0)),
+    *(face for x_m in np.arange(-36.0, 37.0, _PERIOD_M) for face in box((x_m, 5.0, 0.0), (x_m + 2.0, 8.0, 3.0))),
+]
+_KIOSK = box((2.5, -6.0, 0.0), (5.0, -4.0, 2.5))
+
+
+@pytest.mark.parametrize(("objects", "is_unique"), [(_ROW, False), ([*_ROW, *_KIOSK], True)], ids=["alone", "kiosk"])
+def test_a_row_of_equal_things_fits_after_a_shift(objects, is_unique):
+    """What stands at one place only tells the poses apart."""
+    clouds = scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)
+    lidars = {cloud.lidar: prepare_lidar(cloud, _CONFIG) for cloud in clouds}
+    lead = lead_over_shifts(lidars, SimpleNamespace(T_target_source=_TRUTH))
+    assert (lead >= _CONFIG.acceptance.min_log_odds_margin) == is_unique
+
+
+def test_without_another_place_nothing_competes(lidars):
+    assert lead_over_shifts(lidars, SimpleNamespace(T_target_source=_TRUTH)) > 10.0

@@ -9,7 +9,7 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis
-from multilica.visibility.plans import alike_hypotheses, main_axes, repeated_hypotheses, symmetric_poses
+from multilica.visibility.plans import alike_hypotheses, main_axes, repeated_hypotheses, shifted_poses, symmetric_poses
 from tests.unit.made_pairs import pose
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -122,7 +122,7 @@ def _row(xs_m, height_m=2.0, sides_m=(-5.0, 4.0)):
     return np.array([(x_m, y_m, z_m) for x_m in xs_m for y_m in sides_m for z_m in levels_m])
 
 
-def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT, seen_m=None):
+def _sides(standing_m, ground_m=_FLAT, seen_m=None):
     """Let both LiDARs see the same things on flat ground, unless the source sees others."""
     seen_m = standing_m if seen_m is None else seen_m
     points_m, also_m = (np.concatenate([ground_m, each]) for each in (standing_m, seen_m))
@@ -130,7 +130,11 @@ def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT, seen_m=
     normals[: len(ground_m)] = of_source[: len(ground_m)] = _UP
     target = SimpleNamespace(probes_m=points_m, normals=normals)
     source = SimpleNamespace(probes_m=_POSE.inverse().apply(also_m), normals=_POSE.inverse().rotate(of_source))
-    sides = [(RigidTransform.identity("t", "t"), target)], [(RigidTransform.identity("s", "s"), source)]
+    return [(RigidTransform.identity("t", "t"), target)], [(RigidTransform.identity("s", "s"), source)]
+
+
+def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT, seen_m=None):
+    sides = _sides(standing_m, ground_m, seen_m)
     return repeated_hypotheses(*sides, Hypothesis(_POSE, origin="cliques", index=3), up, max_baseline_m)
 
 
@@ -215,3 +219,11 @@ def test_rare_axes_and_those_beside_another_are_none():
     assert len(_axes([300, 20, 200, 0])) == 2
     assert len(_axes([300, 0, 200, 100])) == 2
     assert _axes([0, 0, 0, 0]) == []
+
+
+def test_shifts_that_leave_little_in_common_are_found():
+    """Of six things, three have a counterpart three steps farther."""
+    row = _row(np.arange(0.0, 6.0 * _PERIOD_M, _PERIOD_M))
+    steps = {round((each.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in shifted_poses(*_sides(row), _POSE, _FAR_M)}
+    assert steps >= {-3, -2, -1, 1, 2, 3}
+    assert not {round((each.T_target_source.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in _repeated(row)} & {-3, 3}
