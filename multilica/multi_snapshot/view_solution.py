@@ -73,8 +73,8 @@ class ViewSolution:
     def is_confirmed(self, link: ViewPair) -> bool:
         """Return whether the others tell where the link has to be, if only roughly along one axis.
 
-        A height that no drive on a plane tells may stay open. Of a link that fits at no other place, the others need to
-        tell only the attitude: a hall that looks the same when turned would turn it.
+        A height that no drive on a plane tells may stay open. If the link fits at no other place, the others need to
+        tell only its attitude: a hall that looks the same when turned would turn it.
 
         They do not if one of its LiDARs has no pose here.
         """

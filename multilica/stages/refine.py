@@ -226,7 +226,7 @@ def _weight(squared: float, config: RefineConfig) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Share:
-    """What a pair adds to the sums over all poses and biases.
+    """A pair as a part of the sums over all poses and biases.
 
     Args:
         weight: robust.

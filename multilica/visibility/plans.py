@@ -28,7 +28,7 @@ _AROUND_M = 2.0
 # long as the plans.
 _REPEATED_SHARE = 0.75
 _MAX_REPEATED = 3
-# Of links between stops, fewer cells may coincide, and more shifts are scored.
+# Links between stops may share less after a shift, and more shifts are scored.
 _SHIFTED_SHARE = 0.3
 _MAX_SHIFTED = 16
 # Surfaces steeper than 45 deg are walls.

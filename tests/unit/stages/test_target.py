@@ -33,7 +33,7 @@ def test_without_an_accepted_pair_the_most_points_decide():
     assert choose_target("", _CLOUDS, pairs) == ("b", "most points, as no pair was accepted")
 
 
-def test_uncertain_pairs_choose_the_target_where_none_is_accepted():
+def test_uncertain_pairs_choose_it_where_none_is_accepted():
     pairs = [pair(pose("a", "c"), UNCERTAIN, fitness=0.2), pair(pose("a", "b"), undecided("ambiguous"))]
     assert choose_target("", _CLOUDS, pairs)[0] == "c"
     assert choose_target("", _CLOUDS, [*pairs, pair(pose("a", "b"), fitness=0.1)])[0] == "b"
