@@ -265,8 +265,10 @@ class _Pair:
         best, *others = sorted(found, key=lambda each: -each.evidence)
         result = next(each for each in registered if each.registrations[0] is best)
         if thinned and not cannot_be_accepted(best.evidence, acceptance):
-            result = self.register(_start_of(best))
+            result = self._first_that_holds([best, *others])
             best = result.registrations[0]
+            others = [each for each in found if is_distinct(each.T_target_source, [best.T_target_source])]
+            others.sort(key=lambda each: -each.evidence)
         if best.evidence >= acceptance.min_evidence:
             by_gicp = result
             result = self._fitted(by_gicp, _start_of(best)) if self.fit else by_gicp
@@ -276,6 +278,20 @@ class _Pair:
                 best = result.registrations[0]
                 others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(result, hypothesis=best.hypothesis, registrations=(best, *others))
+
+    def _first_that_holds(self, ranked: Sequence[Registration]) -> PairRegistration:
+        """Register poses on all points, up to the first that has enough evidence there too; else return the first."""
+        acceptance = self.config.acceptance
+        first: PairRegistration | None = None
+        for each in ranked:
+            if first is not None and cannot_be_accepted(each.evidence, acceptance):
+                break
+            result = self.register(_start_of(each))
+            if result.registrations[0].evidence >= acceptance.min_evidence:
+                return result
+            first = first or result
+        assert first is not None  # noqa: S101
+        return first
 
     def unmoved(self, start: Hypothesis) -> PairRegistration | None:
         """Fit a pose to planes without GICP; None if that moves it, or leaves a doubt."""

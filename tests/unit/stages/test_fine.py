@@ -27,6 +27,15 @@ _TRUTH = _TARGET.inverse() @ _SOURCE
 _HALF_TURN = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [0, 0, 0], [0, 0, np.pi]) @ _SOURCE
 
 
+_TWOFOLD = [
+    ((-12.0, -7.0, 0.0), (12.0, 7.0, 4.0)),
+    ((4.0, 3.0, 0.0), (5.0, 4.0, 4.0)),
+    ((-5.0, -4.0, 0.0), (-4.0, -3.0, 4.0)),
+    ((6.0, -6.0, 0.0), (9.0, -5.0, 1.5)),
+    ((-9.0, 5.0, 0.0), (-6.0, 6.0, 1.5)),
+]
+
+
 def _near(pose, xyz_m=(0.1, -0.1, 0.05), yaw_rad=0.02):
     return RigidTransform.from_xyz_rpy("t", "t", xyz_m, [0.0, 0.0, yaw_rad]) @ pose
 
@@ -102,6 +111,26 @@ def test_finalists_with_one_end_are_registered_on_all_points(sides, monkeypatch)
     assert len(result.registrations) == 1
     assert max(registered[:2]) < 1500 < registered[2] == len(sides[1].cloud.points_m)
     _assert_true(result.T_target_source)
+
+
+def test_a_pose_that_all_points_lead_away_gives_way(monkeypatch):
+    """Both poses fit a hall that looks the same turned; on all points, GICP leaves the one with more evidence."""
+    hall = [face for lo_m, hi_m in _TWOFOLD for face in box(lo_m, hi_m)]
+    alike = [_side(scan(name, at, hall, seed=number)) for number, (name, at) in enumerate(_PLACES)]
+    sides = _with_gicp(alike, max_points=5000)
+
+    def led_away(target, source, pose, config):
+        found = register(target, source, pose, config)
+        leaves = pose.distance_to(_HALF_TURN)[0] < 1.0 and len(source.points_m) > 5000
+        return replace(found, T_target_source=_near(_HALF_TURN, (0.6, 0.0, 0.0))) if leaves else found
+
+    hypotheses = [_hypothesis(_near(_TRUTH)), _hypothesis(_near(_HALF_TURN), 7)]
+    _assert_true(register_best(*sides, hypotheses, _CONFIG).T_target_source, _HALF_TURN)
+    monkeypatch.setattr(fine, "register", led_away)
+    result = register_best(*sides, hypotheses, _CONFIG)
+    _assert_true(result.T_target_source)
+    assert result.evidence > _CONFIG.acceptance.min_evidence
+    _assert_true(competing_poses(result.registrations, _CONFIG.acceptance)[0].T_target_source, _HALF_TURN)
 
 
 def test_no_more_finalists_are_registered_than_asked_for(sides):
