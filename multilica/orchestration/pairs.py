@@ -259,13 +259,15 @@ def lead_over_shifts(lidars: Shared, found: Registration) -> float:
     """Compare a pose by beams with those at which the plans of both LiDARs coincide after a shift.
 
     Returns:
-        By how much it is likelier than the likeliest of them, negative if it is less likely.
+        By how much it is likelier than the likeliest of them, negative if it is less likely, or if no plan tells.
     """
     pose = found.T_target_source
     target, source = (lidars[name] for name in (pose.target, pose.source))
     if target.view is None or source.view is None:
         return -math.inf
     shifted = shifted_poses(target.view.alone, source.view.alone, pose, target.config.acceptance.max_baseline_m)
+    if shifted is None:
+        return -math.inf
     known = score_roughly(lidars, pose)
     return min((known.lead_over(score_roughly(lidars, each)) for each in shifted), default=math.inf)
 

@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -282,16 +283,10 @@ class _Pair:
     def _first_that_holds(self, ranked: Sequence[Registration]) -> PairRegistration:
         """Register poses on all points, up to the first that has enough evidence there too; else return the first."""
         acceptance = self.config.acceptance
-        first: PairRegistration | None = None
-        for each in ranked:
-            if first is not None and cannot_be_accepted(each.evidence, acceptance):
-                break
-            result = self.register(_start_of(each))
-            if result.registrations[0].evidence >= acceptance.min_evidence:
-                return result
-            first = first or result
-        assert first is not None  # noqa: S101
-        return first
+        promising = [each for each in ranked if not cannot_be_accepted(each.evidence, acceptance)]
+        found = (self.register(_start_of(each)) for each in promising)
+        first = next(found)
+        return next((each for each in chain([first], found) if each.evidence >= acceptance.min_evidence), first)
 
     def unmoved(self, start: Hypothesis) -> PairRegistration | None:
         """Fit a pose to planes without GICP; None if that moves it, or leaves a doubt."""

@@ -146,7 +146,7 @@ def repeated_hypotheses(
 
 def shifted_poses(
     targets: Sequence[PlacedView], sources: Sequence[PlacedView], pose: RigidTransform, max_baseline_m: float
-) -> list[RigidTransform]:
+) -> list[RigidTransform] | None:
     """Find all poses at which a good part of what stands above the ground coincides after a shift.
 
     Equal houses and rails with posts repeat over a street of which each LiDAR sees another part, so that the plans
@@ -155,10 +155,19 @@ def shifted_poses(
     Args:
         targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
         pose: ``T_target_source`` between the roots.
+
+    Returns:
+        None if too little stands above the ground to tell.
     """
+    axes = main_axes(targets, sources, pose)
+    standing = [
+        _above_ground(side, axis) for up in axes for side, axis in ((targets, up), (sources, pose.rotation.T @ up))
+    ]
+    if min(map(len, standing), default=0) < _MIN_POINTS:
+        return None
     return [
         each
-        for up in main_axes(targets, sources, pose)
+        for up in axes
         for each in _shifted(targets, sources, pose, up, _SHIFTED_SHARE, max_baseline_m, _MAX_SHIFTED)
     ]
 

@@ -227,3 +227,7 @@ def test_shifts_that_leave_little_in_common_are_found():
     steps = {round((each.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in shifted_poses(*_sides(row), _POSE, _FAR_M)}
     assert steps >= {-3, -2, -1, 1, 2, 3}
     assert not {round((each.T_target_source.xyz_m - _POSE.xyz_m)[0] / _PERIOD_M) for each in _repeated(row)} & {-3, 3}
+
+
+def test_without_standing_things_no_shift_is_tested():
+    assert shifted_poses(*_sides(_row([3.0], height_m=0.5)), _POSE, _FAR_M) is None
