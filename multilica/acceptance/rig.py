@@ -184,6 +184,33 @@ def check_ambiguous_chains(
     return _doubted(pairs, doubts)
 
 
+def excluded_lidars(
+    target: str,
+    poses: Mapping[str, RigidTransform],
+    pairs: Sequence[PairRegistration],
+    score_pose: ScorePose,
+    config: AcceptanceConfig,
+) -> dict[str, Reason]:
+    """Find LiDARs that an undecided pair excludes from where the rig has them.
+
+    A LiDAR that joins a whole group may tell only then that one of the group is turned: against that one, it fits only
+    at other poses. Nothing says which of the two is wrong.
+
+    Args:
+        target: is never in doubt.
+        poses: ``T_target_lidar`` of the placed LiDARs.
+    """
+    found: dict[str, Reason] = {}
+    for pair in pairs:
+        if not pair.lidars <= {*poses} or not pair.registrations or not _is_ambiguous(pair, config):
+            continue
+        implied = poses[pair.target].inverse() @ poses[pair.source]
+        if not _allows(pair, implied, score_pose, config):
+            for lidar in sorted(pair.lidars - {target}):
+                found.setdefault(lidar, _exclusion(pair, implied))
+    return found
+
+
 def check_shared_repetition(
     pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
 ) -> list[PairRegistration]:
@@ -267,9 +294,9 @@ def _is_ambiguous(pair: PairRegistration, config: AcceptanceConfig) -> bool:
 
 def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePose, config: AcceptanceConfig) -> bool:
     """Return whether the implied pose is one of the pair's own, or scores as well."""
-    needed = pair.evidence - config.min_log_odds_margin
-    own = [each.T_target_source for each in pair.registrations if each.evidence > needed]
-    return not is_distinct(implied, own) or score_pose(implied).evidence > needed
+    best, *_ = pair.registrations
+    own = [each.T_target_source for each in (best, *competing_poses(pair.registrations, config))]
+    return not is_distinct(implied, own) or best.lead_over(score_pose(implied)) < config.min_log_odds_margin
 
 
 def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegistration) -> Reason:

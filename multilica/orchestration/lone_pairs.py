@@ -8,6 +8,7 @@ import numpy as np
 
 from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
+from multilica.config import AcceptanceConfig
 from multilica.orchestration.pairs import register_sides
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Verdict, connected
@@ -15,6 +16,8 @@ from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
 
 # Number of the hypothesis of a pair that was registered where others imply it.
 _IMPLIED = -1
+# A pair that may be turned has two places; more are those of things that repeat.
+_REPEATED = 3
 
 
 def doubt_lone_pairs(state: CalibrationState) -> None:
@@ -23,23 +26,55 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     A search that finds several poses with enough evidence decides by what two LiDARs see, and their groups see more.
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
+
+    Where another pair fits at three places or more, a lone pair may have found one of many, and none of the others. It
+    needs as much evidence as if they competed.
     """
+    limits = state.config.acceptance
+    repeats = any(_shows_repetition(pair, limits) for pair in state.registrations.values())
     joining = [pair for pair in state.registrations.values() if pair.verdict.outcome in ("accept", "uncertain")]
     searched = [pair for pair in joining if pair.hypothesis != _IMPLIED and pair.registrations]
     for pair in searched:
-        if not any(each.evidence >= state.config.acceptance.min_evidence for each in pair.registrations[1:]):
-            continue
         others = [each for each in searched if each is not pair]
         members, of_source = connected(pair.target, others), connected(pair.source, others)
-        if pair.source in members or len(members) == len(of_source) == 1:
+        if pair.source in members:
             continue
-        target, source = (_side_of(state, root, others) for root in (pair.target, pair.source))
-        found = register_sides(target, source, [Hypothesis(pair.T_target_source)], state.config)
-        competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
-        doubt = tuple(replace(reason, competing=None) for reason in competing)
+        least = limits.min_evidence + limits.min_log_odds_margin
+        doubt: tuple[Reason, ...] = ()
+        if repeats and pair.evidence < least:
+            doubt = (_little_evidence(pair, least),)
+        elif len(members) + len(of_source) > 2 and _places(pair, limits) > 1:
+            doubt = _competing(state, pair, others)
         for key, each in state.registrations.items():
             if doubt and each in joining and len(each.lidars & members) == len(each.lidars & of_source) == 1:
                 _doubt(state, key, doubt)
+
+
+def _shows_repetition(pair: PairRegistration, config: AcceptanceConfig) -> bool:
+    return pair.verdict.outcome == "undecided" and _places(pair, config) >= _REPEATED
+
+
+def _places(pair: PairRegistration, config: AcceptanceConfig) -> int:
+    """Return the number of poses of the pair that would count by themselves."""
+    return sum(each.evidence >= config.min_evidence for each in pair.registrations)
+
+
+def _little_evidence(pair: PairRegistration, least: float) -> Reason:
+    text = (
+        f"only {pair.source} against {pair.target} joins their groups where the scene repeats "
+        f"(evidence {pair.evidence:.1f}, needs {least:.1f})"
+    )
+    return Reason("held_by_repetition", pair.evidence, least, text)
+
+
+def _competing(
+    state: CalibrationState, pair: PairRegistration, others: Sequence[PairRegistration]
+) -> tuple[Reason, ...]:
+    """Return why the groups that a pair joins fit as well at another pose; nothing if they do not."""
+    target, source = (_side_of(state, root, others) for root in (pair.target, pair.source))
+    found = register_sides(target, source, [Hypothesis(pair.T_target_source)], state.config)
+    competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
+    return tuple(replace(reason, competing=None) for reason in competing)
 
 
 def _side_of(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> RegistrationCloud:

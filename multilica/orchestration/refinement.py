@@ -6,9 +6,11 @@ from dataclasses import replace
 
 from multilica import events
 from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, outlier, widened
+from multilica.acceptance.rig import excluded_lidars
+from multilica.geometry import RigidTransform
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.state import CalibrationState
-from multilica.results import Group, MergeDecision, PairRegistration, PairResidual, Verdict, connected
+from multilica.results import Group, MergeDecision, PairRegistration, PairResidual, Reason, Verdict, connected
 from multilica.stages.refine import refine, trusted_pairs
 
 
@@ -21,7 +23,8 @@ def refine_rig(state: CalibrationState) -> None:
     """
     if not state.config.refine.enabled or state.group is None:
         return
-    poses, limits = state.group.poses, state.config.acceptance
+    limits = state.config.acceptance
+    poses = _without_excluded(state, state.group.poses)
     watched = {lidar.name for lidar in state.snapshot.lidars if len(lidar.scans) > 1}
 
     def residuals_of(pairs: Sequence[PairRegistration]) -> tuple[PairResidual, ...]:
@@ -31,22 +34,38 @@ def refine_rig(state: CalibrationState) -> None:
         used = _pairs_between(state, poses)
         rig = refine(state.target, poses, used, state.config.refine)
         doubts = doubted_lidars(state.target, used, rig.refinement.pairs)
-        lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
+        lost = {
+            name: contradiction_of(residual, limits) for name, residual in doubts.items() if is_beyond(residual, limits)
+        }
         if not lost:
             break
         if (wrong := outlier(used, rig.refinement.pairs, residuals_of)) and {wrong.target, wrong.source} <= watched:
             _doubt_pair(state, wrong)
             continue
-        _doubt_pairs_of(state, lost)
-        left = _rejoin(state, poses.keys() - lost.keys())
-        _split_off(state, lost, poses.keys() - lost.keys() - left)
-        poses = {name: pose for name, pose in poses.items() if name in left}
+        poses = _without(state, poses, lost)
     state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
     rig = doubt_movable(state, rig, used)
     state.group = Group(state.target, rig.poses)
     state.covariances = widened(rig.covariances, doubts)
     state.repeatability, state.refinement = rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+
+def _without_excluded(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> Mapping[str, RigidTransform]:
+    """Leave out LiDARs that undecided pairs exclude from where they are."""
+    pairs = tuple(state.registrations.values())
+    lost = excluded_lidars(state.target, poses, pairs, state.score_pose, state.config.acceptance)
+    return _without(state, poses, lost) if lost else poses
+
+
+def _without(
+    state: CalibrationState, poses: Mapping[str, RigidTransform], lost: Mapping[str, Reason]
+) -> Mapping[str, RigidTransform]:
+    """Take the lost LiDARs out of the target's group, with those that only they join to it."""
+    _doubt_pairs_of(state, lost)
+    left = _rejoin(state, poses.keys() - lost.keys())
+    _split_off(state, lost, poses.keys() - lost.keys() - left)
+    return {name: pose for name, pose in poses.items() if name in left}
 
 
 def _doubt_pair(state: CalibrationState, wrong: PairResidual) -> None:
@@ -60,13 +79,12 @@ def _doubt_pair(state: CalibrationState, wrong: PairResidual) -> None:
     state.merges = [merge for merge in merges if merge]
 
 
-def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
-    """Leave the accepted pairs of LiDARs undecided whose cycle does not close."""
+def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, Reason]) -> None:
+    """Leave the accepted pairs of lost LiDARs undecided."""
     for key, pair in state.registrations.items():
-        residuals = [lost[name] for name in sorted(pair.lidars & lost.keys())]
-        if residuals and pair.verdict.accepted:
-            reason = contradiction_of(residuals[0], state.config.acceptance)
-            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
+        reasons = [lost[name] for name in sorted(pair.lidars & lost.keys())]
+        if reasons and pair.verdict.accepted:
+            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reasons[0],)))
             state.observe(events.VerdictChanged(state.registrations[key]))
     state.merges = [merge for merge in state.merges if not any(pair.lidars & lost.keys() for pair in merge)]
 
@@ -92,7 +110,7 @@ def _rejoin(state: CalibrationState, names: Collection[str]) -> set[str]:
         state.merges.append((joining,))
 
 
-def _split_off(state: CalibrationState, lost: Mapping[str, PairResidual], alone: Collection[str]) -> None:
+def _split_off(state: CalibrationState, lost: Mapping[str, Reason], alone: Collection[str]) -> None:
     """Take LiDARs out of the target's group, each into a group of its own.
 
     Args:
@@ -101,7 +119,7 @@ def _split_off(state: CalibrationState, lost: Mapping[str, PairResidual], alone:
     gone = {*lost, *alone}
     groups = [tuple(name for name in group if name not in gone) for group in state.decisions[-1].groups]
     groups = [*filter(None, groups), *((name,) for name in sorted(gone))]
-    texts = sorted({contradiction_of(each, state.config.acceptance).text for each in lost.values()})
+    texts = sorted({reason.text for reason in lost.values()})
     reason = f"{', '.join(sorted(lost))} left the group: {'; '.join(texts)}"
     if alone:
         reason = f"{reason}; without {'these' if len(lost) > 1 else 'it'} nothing joins {', '.join(sorted(alone))}"

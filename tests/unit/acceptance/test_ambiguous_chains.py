@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from multilica.acceptance.rig import check_ambiguous_chains, is_contradicted
+from multilica.acceptance.rig import check_ambiguous_chains, excluded_lidars, is_contradicted
 from multilica.config import AcceptanceConfig
 from multilica.results import Stability, Verdict
-from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
+from tests.unit.acceptance.made_rig import IN_A, linked, moved_to, scored, true_pose
 from tests.unit.made_pairs import UNCERTAIN, pose, undecided
 
 _CONFIG = AcceptanceConfig()
@@ -63,3 +63,29 @@ def test_an_undecided_pair_that_excludes_no_chain_is_ignored(known, score_pose):
     pairs = [*_CHAIN, known]
     after = check_ambiguous_chains(pairs, score_pose, _CONFIG)
     assert all(one is other for one, other in zip(after, pairs, strict=True))
+
+
+def test_the_rig_excludes_both_lidars_of_an_undecided_pair():
+    """Nothing says which of the two is wrong; the target has no pose to lose."""
+    lost = excluded_lidars("a", IN_A, [*_CHAIN, _undecided("d", "b")], _nothing_in_common, _CONFIG)
+    assert {name: reason.code for name, reason in lost.items()} == dict.fromkeys("bd", "cycle_contradicted")
+    assert "178 deg from where b fits d" in lost["b"].text
+    assert excluded_lidars("a", IN_A, [_undecided("d", "a")], _nothing_in_common, _CONFIG).keys() == {"d"}
+
+
+@pytest.mark.parametrize(
+    ("known", "score_pose"),
+    [
+        (_undecided("d", "b", turned=False), _nothing_in_common),
+        (_undecided("d", "b"), scored),
+        (_undecided("d", "b", stability=None), _nothing_in_common),
+    ],
+    ids=["one of its poses", "scores as well", "doubted by others"],
+)
+def test_an_undecided_pair_may_agree_with_the_rig(known, score_pose):
+    assert excluded_lidars("a", IN_A, [*_CHAIN, known], score_pose, _CONFIG) == {}
+
+
+def test_a_pair_without_both_poses_excludes_nothing():
+    poses = {name: pose for name, pose in IN_A.items() if name != "d"}
+    assert excluded_lidars("a", poses, [_undecided("d", "b")], _nothing_in_common, _CONFIG) == {}

@@ -10,10 +10,11 @@ import pytest
 from multilica.acceptance.consistency import doubted_lidars, outlier
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig, with_overrides
+from multilica.orchestration import refinement
 from multilica.orchestration.refinement import refine_rig
 from multilica.orchestration.rig import result_of
 from multilica.orchestration.state import CalibrationState
-from multilica.results import Group, MergeCandidate, MergeDecision, PairResidual, PreprocessedCloud, Verdict
+from multilica.results import Group, MergeCandidate, MergeDecision, PairResidual, PreprocessedCloud, Reason, Verdict
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.unit.acceptance.made_rig import IN_A, linked
 
@@ -129,6 +130,17 @@ def test_what_only_a_lost_lidar_joins_is_not_placed(verdict):
     assert result_of(state)["d"].status == "not_placed"
     assert state.decisions[-1].reason.endswith("without these nothing joins d")
     assert ("d",) in state.decisions[-1].groups
+
+
+def test_lidars_that_an_undecided_pair_excludes_lose_their_poses(monkeypatch):
+    """A merge may join a LiDAR at the true pose to a group with a wrong one."""
+    reason = Reason("cycle_contradicted", 6.9, 0.0, "made")
+    monkeypatch.setattr(refinement, "excluded_lidars", lambda *_: {"b": reason, "d": reason})
+    state = _calibrated(_pairs())
+    result = result_of(state)
+    assert [result[name].status for name in "abcd"] == ["placed", "not_placed", "placed", "not_placed"]
+    assert result["b"].reason.endswith("made")
+    assert state.decisions[-1].reason == "b, d left the group: made"
 
 
 def test_a_small_contradiction_widens_sigma_to_cover_both():

@@ -46,7 +46,8 @@ def doubt(monkeypatch):
         state = SimpleNamespace(registrations=registrations, config=CalibrationConfig(), observe=seen.append)
         lone_pairs.doubt_lone_pairs(state)
         undecided = [pair for pair in state.registrations.values() if pair.verdict.outcome == "undecided"]
-        assert [each.registration for each in seen if isinstance(each, VerdictChanged)] == undecided
+        changed = [each.registration for each in seen if isinstance(each, VerdictChanged)]
+        assert changed == [pair for pair in undecided if pair not in pairs]
         return {pair.target + pair.source for pair in undecided}, asked
 
     return run
@@ -83,3 +84,29 @@ def test_groups_that_fit_at_no_other_pose_leave_it(doubt, verdict):
     undecided, asked = doubt(*_GROUP, _searched("a", "d"), verdict=verdict)
     assert not undecided
     assert len(asked) == 1
+
+
+_TWO_PLACES = replace(_searched("b", "c"), verdict=Verdict("undecided"))
+_THREE_PLACES = replace(_TWO_PLACES, registrations=(*_TWO_PLACES.registrations, _TWO_PLACES.registrations[1]))
+
+
+def test_a_lone_pair_needs_more_evidence_where_the_scene_repeats(doubt):
+    few = linked("a", "d", 100)
+    assert 2.3 < few.evidence < 6.9
+    undecided, asked = doubt(_THREE_PLACES, few, linked("a", "b"))
+    assert undecided == {"bc", "ad"}
+    assert not asked
+    assert doubt(_THREE_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
+
+
+def test_a_second_search_confirms_it(doubt):
+    pairs = [linked(*names, 100) for names in ("ab", "bd", "ad")]
+    assert doubt(_THREE_PLACES, *pairs)[0] == {"bc"}
+
+
+@pytest.mark.parametrize(
+    "other", [_TWO_PLACES, replace(_THREE_PLACES, verdict=Verdict("reject"))], ids=["two poses", "refused"]
+)
+def test_a_scene_that_does_not_repeat_asks_for_no_more(doubt, other):
+    undecided, _ = doubt(other, linked("a", "d", 100))
+    assert "ad" not in undecided
