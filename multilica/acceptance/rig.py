@@ -13,11 +13,10 @@ from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near
 from multilica.results import PairRegistration, Reason, Registration, Verdict, VisibilityScore, connected
+from multilica.results.hypotheses import IMPLIED
 from multilica.visibility.sensor_view import ScorePose
 
 _CODE = "cycle_contradicted"
-# Number of the hypothesis of a pair that was registered where others imply it.
-_IMPLIED = -1
 # A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
 _TURNED_RAD = np.deg2rad(45.0)
 
@@ -144,7 +143,7 @@ def check_cycles(
 def _doubt_implying(pairs: Sequence[PairRegistration], doubts: dict[int, Reason], config: AcceptanceConfig) -> None:
     """Doubt the pairs that implied the pose of a doubted one, but for those with clearly more evidence."""
     names = sorted({name for pair in pairs for name in pair.lidars})
-    for pair in [each for each in pairs if each.hypothesis == _IMPLIED and id(each) in doubts]:
+    for pair in [each for each in pairs if each.hypothesis == IMPLIED and id(each) in doubts]:
         others = PairGraph.of(names, [each for each in pairs if id(each) not in doubts])
         implied = others.implied(pair.target, pair.source)
         if implied is None or is_distinct(implied, [pair.T_target_source]):

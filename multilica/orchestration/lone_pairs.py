@@ -12,10 +12,9 @@ from multilica.config import AcceptanceConfig
 from multilica.orchestration.pairs import register_sides
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Verdict, connected
+from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
 
-# Number of the hypothesis of a pair that was registered where others imply it.
-_IMPLIED = -1
 # A pair that may be turned has two places; more are those of things that repeat.
 _REPEATED = 3
 
@@ -33,7 +32,7 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     limits = state.config.acceptance
     repeats = any(_shows_repetition(pair, limits) for pair in state.registrations.values())
     joining = [pair for pair in state.registrations.values() if pair.verdict.outcome in ("accept", "uncertain")]
-    searched = [pair for pair in joining if pair.hypothesis != _IMPLIED and pair.registrations]
+    searched = [pair for pair in joining if pair.hypothesis != IMPLIED and pair.registrations]
     for pair in searched:
         others = [each for each in searched if each is not pair]
         members, of_source = connected(pair.target, others), connected(pair.source, others)

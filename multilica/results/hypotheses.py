@@ -16,6 +16,8 @@ PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 PRIOR = "prior"
 """Origin and name of the hypothesis that the prior gives."""
+IMPLIED = -1
+"""Number of a hypothesis that no search found: other pairs or stops imply it."""
 REPEATED = "repeated"
 """Begins the derivation of a pose at which what stands above the ground repeats."""
 
@@ -88,7 +90,7 @@ class Hypothesis:
     inliers: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     score: float = 0.0
     origin: str = ""
-    index: int = -1
+    index: int = IMPLIED
     evidence: float | None = None
     derivation: str = ""
 
