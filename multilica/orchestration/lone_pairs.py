@@ -26,8 +26,8 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
 
-    Where another pair fits at three places or more, a lone pair may have found one of many, and none of the others. It
-    needs as much evidence as if they competed.
+    A lone pair may have found one of many places if another pair fits at three or more: the scene repeats. It then
+    needs as much evidence as if these competed.
     """
     limits = state.config.acceptance
     repeats = any(_shows_repetition(pair, limits) for pair in state.registrations.values())
