@@ -106,7 +106,8 @@ def refine(
     counts = [len(numbers) for numbers in rings.values()]
     state = _State(ViewPoses(dict(poses), stops, free, free_stops), np.zeros(len(sigmas)), rings)
     before = [state.views.offset(pair) for pair in used]
-    scenes = [_scenes_of(name, used_pairs) for name in free] + [1] * len(free_stops)
+    # Linked stops show one place.
+    scenes = [max(1, _snapshots_of(name, used_pairs) - len(free_stops)) for name in free] + [1] * len(free_stops)
     prior = None
     for _ in range(_ITERATIONS):
         information, gradient = _normal_equations(used, state, config)
@@ -210,8 +211,8 @@ def _squared(pair: ViewPair, state: _State) -> float:
     return float(offset @ pair.registration.information @ offset)  # type: ignore[operator]
 
 
-def _scenes_of(lidar: str, pairs: Sequence[PairRegistration]) -> int:
-    """Return the number of snapshots whose pairs show a LiDAR; the stops of a drive show one place."""
+def _snapshots_of(lidar: str, pairs: Sequence[PairRegistration]) -> int:
+    """Return the number of snapshots whose pairs show a LiDAR."""
     counts = Counter(pair.lidars for pair in pairs if lidar in pair.lidars)
     return max(counts.values(), default=1)
 

@@ -10,8 +10,9 @@ from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
-from multilica.results import BiasInformation, PairRegistration, Verdict, connected
+from multilica.results import BiasInformation, LinkedStops, PairRegistration, Verdict, connected
 from multilica.stages.refine import refine, trusted_pairs
+from tests.multi_snapshot import made_drive
 
 _SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
 _INFORMATION = np.diag([_SIGMA_RAD**-2] * 3 + [_SIGMA_M**-2] * 3)
@@ -98,6 +99,21 @@ def test_errors_of_more_snapshots_average_out(count):
     one, many = (refine("T", _TRUTH, [pair] * times, RefineConfig()) for times in (1, count))
     np.testing.assert_allclose(many.covariances["A"], one.covariances["A"] / count, rtol=1e-6)
     np.testing.assert_allclose(many.repeatability["A"], one.repeatability["A"] / count, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("links", "places"), [("", 4), ("A1-A2", 3), ("A1-A2 A2-A3 A3-A4", 1)])
+def test_linked_stops_show_one_place(links, places):
+    """The same surfaces leave the same error at each of them."""
+    within = [
+        replace(each.registration, information=1e6 * _INFORMATION)
+        for each in made_drive.pairs("A1-B1 A2-B2 A3-B3 A4-B4")
+    ]
+    found = made_drive.pairs(links)
+    stops = {stop: made_drive.STOPS[stop] for link in found for stop in link.stops}
+    linked = LinkedStops(found, stops, frozenset({"stop 1"} & stops.keys()))
+    rig = refine("A", {name: made_drive.LIDARS[name] for name in "AB"}, within, RefineConfig(), linked)
+    least_m = np.sqrt(np.diag(_LEAST)[3:] / places)
+    np.testing.assert_allclose(np.sqrt(np.diag(rig.covariances["B"])[3:]), least_m, rtol=0.01)
 
 
 def test_one_bad_pair_does_not_bend_the_rig():
