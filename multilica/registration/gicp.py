@@ -31,6 +31,10 @@ _REACH = 4.0
 _WORTH_CROPPING = 0.8
 _MIN_POINTS = 20
 
+# Points that show whether a cloud has more points on single scan lines than edges and posts have.
+_LINE_SAMPLE = 1000
+_FEW_ON_LINES = 0.03
+
 # The published code of the paper: variance along the normal, and change of fitness and RMSE below which it ends.
 _OPEN3D_EPSILON = 0.005
 _OPEN3D_CONVERGED = 1e-7
@@ -72,6 +76,12 @@ class GicpCloud:
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.points_m))
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(self.neighbours))
         return cloud
+
+    @cached_property
+    def is_sparse(self) -> bool:
+        """True if many of its points have neighbours on one scan line only, more than on edges and posts."""
+        some = np.arange(0, len(self.points_m), max(1, len(self.points_m) // _LINE_SAMPLE))
+        return bool(np.mean(self.surface.on_line(some)) > _FEW_ON_LINES)
 
     @cached_property
     def surface(self) -> Surface:

@@ -10,10 +10,12 @@ from scipy.ndimage import distance_transform_cdt
 
 from multilica.geometry import FloatArray, lengths
 from multilica.registration.lazy_open3d import o3d
-from multilica.results import IndexArray
+from multilica.results import BoolArray, IndexArray
 
 # Along the longest side of a cloud: metres per cell, so that a grid costs less than the tree.
 _GRID_CELLS = 100
+# Ranges of LiDARs are noisy by 1 to 3 cm: the points of one scan line seem to span a plane along the beams.
+_LINE_M = 0.05
 
 
 class PointTree:
@@ -187,13 +189,14 @@ class Surface:
         self._known = np.zeros(count, dtype=bool)
         self._normals = np.empty((count, 3))
         self._flatness = np.empty(count)
+        self._on_line = np.empty(count, dtype=np.bool_)
 
     def at(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Return unit normals (M, 3) of either sign and flatness (M,) of the points at these (M,) indices.
 
         Flatness goes from 0 (a twig, a single scan line, a bush) to 1 (a plane). It is 1 - s0 / s1 of the standard
-        deviations s0 <= s1 <= s2 along the principal directions: along a line s1 is as small as s0, in a bush all
-        three are alike.
+        deviations s0 <= s1 <= s2 along the principal directions: along a twig s1 is as small as s0, in a bush all
+        three are alike. Along a scan line, s1 is the noise of the ranges, and s0 nearly zero.
         """
         known = self._known[index]
         if not np.all(known):
@@ -203,9 +206,17 @@ class Surface:
             variances, self._normals[unknown] = spread_and_normals(points_m, neighbours)
             deviations = np.sqrt(np.maximum(variances, 0.0))
             flatness = 1.0 - deviations[:, 0] / np.maximum(deviations[:, 1], 1e-12)
+            on_line = deviations[:, 1] < _LINE_M * np.sqrt(neighbours.shape[1])
+            flatness[on_line] = 0.0
             self._flatness[unknown] = np.maximum(flatness, 0.0)
+            self._on_line[unknown] = on_line
             self._known[unknown] = True
         return self._normals[index], self._flatness[index]
+
+    def on_line(self, index: IndexArray) -> BoolArray:
+        """Return which (M,) of the points at these (M,) indices have neighbours on one scan line only."""
+        self.at(index)
+        return self._on_line[index]
 
 
 def thin(points_m: FloatArray, voxel_size_m: float) -> FloatArray:

@@ -7,9 +7,16 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
-from multilica.geometry import FloatArray
+from multilica.geometry import LEVER_ARM_M, FloatArray
+from multilica.registration.plane_matches import DISTANCE_M
 from multilica.registration.sensor_biases import RING_BIAS_COUNT
 from multilica.results import IndexArray
+
+POSE_SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
+"""(6,) by which unknowns of a pose are metres, rotations as arcs."""
+
+# Residuals are not taken to be smaller than this.
+_MIN_SIGMA_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,3 +107,29 @@ def members(labels: IndexArray, factors: FloatArray, count: int | None = None) -
     matches = len(labels)
     count = int(labels.max()) + 1 if count is None else count
     return csc_array((factors, labels, np.arange(matches + 1)), shape=(count, matches))
+
+
+def floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
+    hessian, spread = hessian.copy(), spread.copy()
+    lengths = np.outer(POSE_SCALE, POSE_SCALE)
+    values, directions = np.linalg.eigh(hessian[:6, :6] * lengths)
+    loose = directions[:, values < 1.0]
+    hessian[:6, :6] += (directions * np.maximum(1.0 - values, 0.0)) @ directions.T / lengths
+    spread[:6, :6] += DISTANCE_M**2 * (loose @ loose.T) / lengths
+    return hessian, spread
+
+
+def noise_of(hessian: FloatArray) -> FloatArray:
+    """Return the covariance of the sum of scores if all residuals were as small as they can be."""
+    return _MIN_SIGMA_M**2 * hessian
+
+
+def usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
+    """Return the variance of a residual with which the Hessian of the pose would be its information, the median of six.
+
+    Weights by direction would follow the chance with which few surfaces agree.
+    """
+    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(POSE_SCALE, POSE_SCALE))
+    whitened = POSE_SCALE[:, None] * directions / np.sqrt(np.maximum(values, 1e-9))
+    return float(np.median(np.linalg.eigvalsh(whitened.T @ spread[:6, :6] @ whitened)))

@@ -6,9 +6,16 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud
-from multilica.registration.plane_equations import PlaneEquations, members
+from multilica.registration.plane_equations import (
+    POSE_SCALE,
+    PlaneEquations,
+    floored,
+    members,
+    noise_of,
+    usual_variance,
+)
 from multilica.registration.plane_matches import (
     DISTANCE_M,
     Overlap,
@@ -17,22 +24,13 @@ from multilica.registration.plane_matches import (
     find_residuals,
     numbered,
 )
+from multilica.registration.plane_settling import settle, settle_beside_lines
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, posterior_step, ring_sigmas
 from multilica.results import BiasInformation, IndexArray
 
 # About as many tell how the gradient changes with the pose.
 _SLOPE_POINTS = 4_000
-# Residuals are not taken to be smaller than this.
-_MIN_SIGMA_M = 0.005
-
-# A tenth of a millimetre is below the sigma of every placed LiDAR.
-_SETTLED_M = 1e-4
-# From such a step on, the prior of the biases stays as it is.
-_NEARLY_SETTLED_M = 1e-3
-_ITERATIONS = 15
-# Matches follow their points, so a step of Gauss and Newton goes about half of the way.
-_RELAXATION = 1.5
 
 # Size of a car door, a window, a kerb stone: random errors of its points are not independent.
 _PATCH_M = 1.0
@@ -46,8 +44,6 @@ _OF_FEW = 1.0
 _OF_RINGS = 0.2
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
-
-_SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,36 +72,22 @@ def fit_planes(
     McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation, scale and
     incidence are estimated with the pose, with a prior. Those of their rings follow in one step at the end.
 
+    Two LiDARs with few scan lines fit in part where these lines meet, turned by up to half the angle between them. Such
+    a fit is begun at poses turned a little, too; the residuals are smaller at the true pose by a fifth or more.
+
     Args:
         bias_sigmas: (8,) standard deviations of the biases of target and source, as `prior_sigmas` gives them.
 
     Returns:
         If too few points match, the given pose alone; if the fit moves the pose by more than 0.2 m, the given one.
     """
-    overlap = find_overlap(target, source, T_target_source)
-    pose, biases, prior = T_target_source, np.zeros(2 * BIAS_COUNT), None
-    for _ in range(_ITERATIONS):
-        residuals = find_residuals(overlap, pose, biases)
-        if residuals is None:
-            return PlaneFit(T_target_source)
-        jacobian = residuals.jacobian(overlap, pose)
-        weighted = jacobian * residuals.weight[:, None]
-        scores = members(overlap.surfaces[residuals.rows], residuals.residual_m) @ weighted[:, :6]
-        hessian, spread = _floored(
-            jacobian.T @ weighted, scores.T @ scores + _noise(jacobian[:, :6].T @ weighted[:, :6])
-        )
-        variance = _usual_variance(hessian, spread)
-        gradient = weighted.T @ residuals.residual_m
-        step, used_prior = posterior_step(hessian / variance, gradient / variance, biases, bias_sigmas, prior=prior)
-        step = step * _RELAXATION
-        pose, biases = moved(pose, step[:3], step[3:6]), biases + step[6:]
-        longest_m = np.abs(step[:6] / _SCALE).max()
-        if longest_m < _SETTLED_M:
-            break
-        prior = used_prior if longest_m < _NEARLY_SETTLED_M else None
-    if arc_between_m(pose, T_target_source) > DISTANCE_M:
+    first = settle(target, source, T_target_source, bias_sigmas)
+    if first is None:
+        return PlaneFit(T_target_source)
+    best = settle_beside_lines(target, source, first, bias_sigmas) if target.is_sparse and source.is_sparse else first
+    if best is first and arc_between_m(best.pose, T_target_source) > DISTANCE_M:
         return pose_information(target, source, T_target_source, bias_sigmas)
-    return _with_information(overlap, pose, biases, bias_sigmas)
+    return _with_information(best.overlap, best.pose, best.biases, bias_sigmas)
 
 
 def pose_information(
@@ -143,12 +125,12 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     equations, target_rings, source_rings = _equations(overlap, residuals, pose)
     rings = target_rings, source_rings
     hessian = equations.hessian(residuals.weight)
-    noise = _noise(hessian)
+    noise = noise_of(hessian)
     remaining = _remaining_hessian(overlap, pose, biases, residuals.sigma_m, hessian)
     rows = residuals.rows
     surfaces = _Surfaces(equations, overlap.surfaces[rows], overlap.planes[rows], residuals.weight)
-    hessian, _ = _floored(remaining, noise)
-    variance = _usual_variance(hessian, surfaces.squared(residuals.residual_m) + surfaces.least + noise)
+    hessian, _ = floored(remaining, noise)
+    variance = usual_variance(hessian, surfaces.squared(residuals.residual_m) + surfaces.least + noise)
     gradient = equations.gradient(residuals.weight * residuals.residual_m) / variance
     of_rings = [
         ring_sigmas(sigmas, len(numbers)) for sigmas, numbers in zip(bias_sigmas.reshape(2, -1), rings, strict=True)
@@ -163,7 +145,7 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     random = _squared(equations, patches, residuals.weight * left_m)
     systematic = surfaces.spread(left_m) + _OF_PATCHES * random
     few = surfaces.of_few(systematic)
-    hessian, spread = _floored(remaining, systematic + few + noise)
+    hessian, spread = floored(remaining, systematic + few + noise)
     random += spread - systematic - few
     information, gradient, spread, random, few = _weighted(
         hessian / variance, gradient, *(each / variance**2 for each in (spread, random, few))
@@ -201,13 +183,15 @@ def _weighted(
     Returns:
         The same, after that.
     """
-    scaling = np.outer(_SCALE, _SCALE)
+    scaling = np.outer(POSE_SCALE, POSE_SCALE)
     values, directions = np.linalg.eigh(information[:6, :6] * scaling)
     roots = np.sqrt(np.maximum(values, 1e-9))
     half, whitening = (directions * roots) @ directions.T, (directions / roots) @ directions.T
     excess, axes = np.linalg.eigh(whitening @ (spread[:6, :6] * scaling) @ whitening)
-    kept = half @ ((axes / np.maximum(excess, 1.0)) @ axes.T) @ whitening * np.outer(1.0 / _SCALE, _SCALE)
-    by_bias = np.linalg.solve(information[:6, :6] * scaling, information[:6, 6:] * _SCALE[:, None]) * _SCALE[:, None]
+    kept = half @ ((axes / np.maximum(excess, 1.0)) @ axes.T) @ whitening * np.outer(1.0 / POSE_SCALE, POSE_SCALE)
+    by_bias = (
+        np.linalg.solve(information[:6, :6] * scaling, information[:6, 6:] * POSE_SCALE[:, None]) * POSE_SCALE[:, None]
+    )
     change = np.eye(len(gradient))
     change[:6, :6] = kept
     change[6:, :6] = by_bias.T @ (kept - np.eye(6))
@@ -228,21 +212,6 @@ def _equations(
         (len(of_target), len(of_source)),
     )
     return equations, of_target, of_source
-
-
-def _noise(hessian: FloatArray) -> FloatArray:
-    """Return the covariance of the sum of scores if all residuals were as small as they can be."""
-    return _MIN_SIGMA_M**2 * hessian
-
-
-def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
-    """Return the variance of a residual with which the Hessian of the pose would be its information, the median of six.
-
-    Weights by direction would follow the chance with which few surfaces agree.
-    """
-    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(_SCALE, _SCALE))
-    whitened = _SCALE[:, None] * directions / np.sqrt(np.maximum(values, 1e-9))
-    return float(np.median(np.linalg.eigvalsh(whitened.T @ spread[:6, :6] @ whitened)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,13 +255,15 @@ class _Surfaces:
         It grows like the variance of Student's distribution.
         """
         rows = self.equations.jacobian[:, :6] * np.sqrt(self.weight)[:, None]
-        values, directions = np.linalg.eigh((rows.T @ rows) * np.outer(_SCALE, _SCALE))
+        values, directions = np.linalg.eigh((rows.T @ rows) * np.outer(POSE_SCALE, POSE_SCALE))
         roots = np.sqrt(np.maximum(values, 1e-9))
-        parts = (rows @ (_SCALE[:, None] * directions / roots)) ** 2
+        parts = (rows @ (POSE_SCALE[:, None] * directions / roots)) ** 2
         shares = members(self.labels, np.ones(len(self.labels))) @ parts
         factors = np.sqrt(1.0 + _OF_FEW * np.sum(shares**2, axis=0))
         widening = np.eye(len(spread))
-        widening[:6, :6] = (directions * roots * factors) @ (directions / roots).T * np.outer(1.0 / _SCALE, _SCALE)
+        widening[:6, :6] = (
+            (directions * roots * factors) @ (directions / roots).T * np.outer(1.0 / POSE_SCALE, POSE_SCALE)
+        )
         return np.asarray(widening @ spread @ widening.T - spread)
 
 
@@ -313,32 +284,21 @@ def _remaining_hessian(
     """
     nth = 1 + len(overlap.points_m) // _SLOPE_POINTS
     overlap = overlap.every(nth)
-    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(_SCALE, _SCALE) / nth)
+    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(POSE_SCALE, POSE_SCALE) / nth)
     roots = np.sqrt(np.maximum(values, 1e-9))
     left = np.empty((6, 6))
     for axis, direction in enumerate(directions.T):
-        step = sigma_m * _SCALE * direction
+        step = sigma_m * POSE_SCALE * direction
         poses = (moved(pose, sign * step[:3], sign * step[3:]) for sign in (1.0, -1.0))
         around = (find_residuals(overlap, each, biases, sigma_m) for each in poses)
         ahead, behind = (np.zeros(6) if each is None else each.gradient for each in around)
-        slope = directions.T @ (_SCALE * (ahead - behind)) / (2.0 * sigma_m)
+        slope = directions.T @ (POSE_SCALE * (ahead - behind)) / (2.0 * sigma_m)
         left[:, axis] = slope / (roots * roots[axis])
     shares, mixed = np.linalg.eigh(0.5 * (left + left.T))
     shares = np.clip(shares / max(shares[-1], _LEAST_REAL), _LEAST_REAL, 1.0)
     kept = (mixed * np.sqrt(shares)) @ mixed.T
-    scaling = ((directions * roots) @ kept @ (directions / roots).T) * np.outer(1.0 / _SCALE, _SCALE)
+    scaling = ((directions * roots) @ kept @ (directions / roots).T) * np.outer(1.0 / POSE_SCALE, POSE_SCALE)
     remaining = hessian.copy()
     remaining[:6] = scaling @ remaining[:6]
     remaining[:, :6] = remaining[:, :6] @ scaling.T
     return remaining
-
-
-def _floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
-    hessian, spread = hessian.copy(), spread.copy()
-    lengths = np.outer(_SCALE, _SCALE)
-    values, directions = np.linalg.eigh(hessian[:6, :6] * lengths)
-    loose = directions[:, values < 1.0]
-    hessian[:6, :6] += (directions * np.maximum(1.0 - values, 0.0)) @ directions.T / lengths
-    spread[:6, :6] += DISTANCE_M**2 * (loose @ loose.T) / lengths
-    return hessian, spread

@@ -106,6 +106,22 @@ def test_a_line_and_a_bush_are_not_flat():
     assert np.median(bush) < 0.4
 
 
+def test_a_scan_line_is_not_flat():
+    """Ranges are noisy and elevations are not, so that its points seem to span a plane along the beams."""
+    across = np.linspace(-3.0, 3.0, 400)
+    points_m = np.column_stack([8.0 + _RNG.normal(0.0, 0.02, 400), across, _RNG.normal(0.0, 1e-4, 400)])
+    surface = Surface(PointTree(points_m), 20)
+    assert np.all(surface.at(np.arange(400))[1] == 0.0)
+    assert np.all(surface.on_line(np.arange(400)))
+
+
+def test_two_scan_lines_span_a_surface():
+    across = np.linspace(-3.0, 3.0, 40)
+    lines = [np.column_stack([8.0 + _RNG.normal(0.0, 0.01, 40), across, np.full(40, z_m)]) for z_m in (0.0, 0.3)]
+    surface = Surface(PointTree(np.concatenate(lines)), 20)
+    assert not np.any(surface.on_line(np.arange(80)))
+
+
 def test_what_is_asked_for_twice_or_in_another_order_is_the_same():
     points_m = _RNG.uniform(0.0, 1.0, (300, 3))
     surface = Surface(PointTree(points_m), 12)

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 
 from multilica.config import FineConfig, RefineConfig
-from multilica.registration import plane_fit, plane_matches
+from multilica.registration import plane_equations, plane_fit, plane_matches
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.poses import moved
 from multilica.registration.sensor_biases import BIAS_COUNT, SCALE, posterior, prior_sigmas, ring_sigmas
@@ -22,7 +22,7 @@ _UNKNOWNS = 6 + 2 * BIAS_COUNT
 @pytest.fixture(autouse=True)
 def wide_matching(monkeypatch):
     """Match points up to 0.3 m apart."""
-    for module in (plane_fit, plane_matches):
+    for module in (plane_equations, plane_fit, plane_matches):
         monkeypatch.setattr(module, "DISTANCE_M", 0.3)
 
 
@@ -155,10 +155,10 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
         return sums.T @ sums
 
     hessian = jacobian.T @ pulls
-    noise = plane_fit._MIN_SIGMA_M**2 * hessian
+    noise = 0.005**2 * hessian
     remaining = plane_fit._remaining_hessian(overlap, pose, _BIASES, here.sigma_m, hessian)
     assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
-    remaining, _ = plane_fit._floored(remaining, noise)
+    remaining, _ = plane_equations.floored(remaining, noise)
     alike = squared(surfaces, np.ones(len(pulls)))
     uneven = 0.0009**2 * squared(planes, np.ones(len(pulls)))
     variance = np.median(eigh((squared(surfaces) + uneven + noise)[:6, :6], remaining[:6, :6], eigvals_only=True))
@@ -210,7 +210,7 @@ def test_a_direction_that_nothing_constrains_counts_as_one_point():
     lengths_m = np.array([10.0] * 3 + [1.0] * 3)
     hessian, others = np.eye(9), np.zeros((9, 9))
     hessian[:6, :6] = (directions * values) @ directions.T * np.outer(lengths_m, lengths_m)
-    floored, spread = plane_fit._floored(hessian, others)
+    floored, spread = plane_equations.floored(hessian, others)
     assert np.array_equal(floored[6:], np.eye(9)[6:])
     assert not np.any(spread[6:])
     floored, spread = (each[:6, :6] / np.outer(lengths_m, lengths_m) for each in (floored, spread))

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration import plane_fit, plane_matches
+from multilica.registration import plane_equations, plane_fit, plane_matches, plane_settling
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, ring_sigmas
@@ -15,12 +15,14 @@ _UNBIASED = 1e-3 * _SIGMAS
 # Of the sensors in the room.
 _PLACE_M = np.array([5.0, 5.2, 1.5])
 _HERE = RigidTransform.identity("t", "s")
+# All that limit the distance of matches.
+_MODULES = plane_equations, plane_fit, plane_matches, plane_settling
 
 
 @pytest.fixture(autouse=True)
 def wide_matching(monkeypatch):
     """Match points up to 0.3 m apart."""
-    for module in (plane_fit, plane_matches):
+    for module in _MODULES:
         monkeypatch.setattr(module, "DISTANCE_M", 0.3)
 
 
@@ -122,7 +124,7 @@ def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     off = _nudged([0.16, 0.16, 0.16])
     assert fit_planes(target, source, off, _SIGMAS).pose.distance_to(_HERE)[0] < 0.01
-    for module in (plane_fit, plane_matches):
+    for module in _MODULES:
         monkeypatch.setattr(module, "DISTANCE_M", 0.2)
     given = fit_planes(target, source, off, _SIGMAS)
     assert given.pose is off
