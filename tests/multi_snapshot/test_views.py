@@ -101,7 +101,7 @@ def test_stops_without_links_are_joined_as_before():
 
 
 def test_links_hardly_move_a_lidar_that_they_do_not_hold():
-    """A stop with a single link to the rest takes its place and tells nothing of the LiDARs."""
+    """A stop with a single link to the rest takes its place, and tells of the LiDARs only that it is one place."""
     rng = np.random.default_rng(3)
     within = pairs("A1-B1 A2-B2", rng)
     alone = refine("A", {name: LIDARS[name] for name in "AB"}, [each.registration for each in within], _CONFIG)
@@ -109,7 +109,11 @@ def test_links_hardly_move_a_lidar_that_they_do_not_hold():
     linked = LinkedStops(link, {name: STOPS[name] for name in ("stop 1", "stop 2")}, frozenset(["stop 1"]))
     rig = refine("A", alone.poses, [each.registration for each in within], _CONFIG, linked)
     assert np.abs(rig.poses["B"].matrix - alone.poses["B"].matrix).max() < 1e-7
-    np.testing.assert_allclose(rig.covariances["B"], alone.covariances["B"], rtol=1e-6)
+    np.testing.assert_allclose(rig.repeatability["B"], alone.repeatability["B"], rtol=1e-6)
+    place = np.diag([0.0, 0.0, 0.0, 7e-4, 7e-4, 7e-4]) ** 2
+    np.testing.assert_allclose(
+        rig.covariances["B"] - place, alone.covariances["B"] - place / 2.0, rtol=1e-6, atol=1e-12
+    )
 
 
 def test_derivatives_of_a_view_by_its_lidar_and_its_stop():
