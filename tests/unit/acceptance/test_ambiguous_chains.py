@@ -89,3 +89,9 @@ def test_an_undecided_pair_may_agree_with_the_rig(known, score_pose):
 def test_a_pair_without_both_poses_excludes_nothing():
     poses = {name: pose for name, pose in IN_A.items() if name != "d"}
     assert excluded_lidars("a", poses, [_undecided("d", "b")], _nothing_in_common, _CONFIG) == {}
+
+
+def test_a_much_less_likely_pose_of_its_own_is_no_excuse():
+    known = _undecided("d", "b")
+    known = replace(known, registrations=(*known.registrations, scored(true_pose("d", "b"), 0)))
+    assert excluded_lidars("a", IN_A, [known], _nothing_in_common, _CONFIG).keys() == {"b", "d"}

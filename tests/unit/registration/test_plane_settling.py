@@ -99,3 +99,9 @@ def test_a_way_of_two_turns_is_gone(ends):
 def test_other_poses_do_not(ends, other):
     ends(other, _LOCKED)
     assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_fit_that_strays_does_not(monkeypatch):
+    """Matches reach 0.2 m, so what ends farther from its start was led there by chance."""
+    monkeypatch.setattr(plane_settling, "settle", lambda *_: _ended(4.0, 0.0, 0.005, 1200))
+    assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
