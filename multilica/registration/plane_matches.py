@@ -20,8 +20,8 @@ from multilica.results import IndexArray
 
 DISTANCE_M = 0.2
 """Points nearer than this to the other cloud constrain the pose."""
-# More are thinned evenly.
-_MAX_POINTS = 20_000
+MAX_POINTS = 20_000
+"""More are thinned evenly."""
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20
 # Least range noise of vehicle LiDARs: no smaller residual is an outlier.
@@ -123,11 +123,11 @@ class PlaneResiduals:
         )
 
 
-def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> Overlap:
-    """Select the points that may match, at most 20,000, thinned evenly."""
+def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, max_points: int = MAX_POINTS) -> Overlap:
+    """Select the points that may match; more than so many are thinned evenly."""
     near, *_ = target.tree.nearest_within(pose.apply(source.points_m), 1.5 * DISTANCE_M)
-    if len(near) > _MAX_POINTS:
-        near = near[np.linspace(0, len(near) - 1, _MAX_POINTS).astype(np.intp)]
+    if len(near) > max_points:
+        near = near[np.linspace(0, len(near) - 1, max_points).astype(np.intp)]
     normals, _ = source.surface.at(near)
     points_m = source.points_m[near]
     placed_m, turned = pose.apply(points_m), pose.rotate(normals)

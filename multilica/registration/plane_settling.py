@@ -9,7 +9,14 @@ import numpy as np
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.plane_equations import POSE_SCALE, floored, members, noise_of, usual_variance
-from multilica.registration.plane_matches import DISTANCE_M, Overlap, PlaneResiduals, find_overlap, find_residuals
+from multilica.registration.plane_matches import (
+    DISTANCE_M,
+    MAX_POINTS,
+    Overlap,
+    PlaneResiduals,
+    find_overlap,
+    find_residuals,
+)
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior_step
 
@@ -24,6 +31,8 @@ _RELAXATION = 1.5
 _TURNS_RAD = np.deg2rad([-1.2, -0.6, 0.6, 1.2])
 # Usual residuals there were 1.2 to 2 times those at the true pose, and the matches 1.0 to 1.3 times as many.
 _SMALLER, _LEAST_MATCHED = 0.9, 0.6
+# Points and step, in metres, that are enough to tell where the usual residual is smaller.
+_ROUGH_POINTS, _ROUGHLY_SETTLED_M = 2_000, 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,10 +51,23 @@ class Settled:
 
 
 def settle(
-    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, bias_sigmas: FloatArray
+    target: GicpCloud,
+    source: GicpCloud,
+    T_target_source: RigidTransform,
+    bias_sigmas: FloatArray,
+    *,
+    roughly: bool = False,
 ) -> Settled | None:
-    """Fit a pose to planes from a start, with the biases of both LiDARs; return None where too few points match."""
-    overlap = find_overlap(target, source, T_target_source)
+    """Fit a pose to planes from a start, with the biases of both LiDARs.
+
+    Args:
+        roughly: with some of the points, to a millimetre.
+
+    Returns:
+        None where too few points match.
+    """
+    most, settled_m = (_ROUGH_POINTS, _ROUGHLY_SETTLED_M) if roughly else (MAX_POINTS, _SETTLED_M)
+    overlap = find_overlap(target, source, T_target_source, most)
     pose, biases, prior = T_target_source, np.zeros(2 * BIAS_COUNT), None
     residuals = find_residuals(overlap, pose, biases)
     for _ in range(_ITERATIONS):
@@ -63,9 +85,9 @@ def settle(
         step = step * _RELAXATION
         pose, biases = moved(pose, step[:3], step[3:6]), biases + step[6:]
         longest_m = np.abs(step[:6] / POSE_SCALE).max()
-        if longest_m < _SETTLED_M:
+        if longest_m < settled_m:
             break
-        prior = used_prior if longest_m < _NEARLY_SETTLED_M else None
+        prior = used_prior if roughly or longest_m < _NEARLY_SETTLED_M else None
         residuals = find_residuals(overlap, pose, biases)
     return None if residuals is None else Settled(overlap, pose, biases, residuals)
 
@@ -73,19 +95,20 @@ def settle(
 def settle_beside_lines(target: GicpCloud, source: GicpCloud, first: Settled, bias_sigmas: FloatArray) -> Settled:
     """Return the best of a fit of two LiDARs with few scan lines and of those from poses turned a little.
 
-    Such LiDARs fit in part where their lines meet, not the surfaces.
+    Such LiDARs fit in part where their lines meet, not the surfaces. Rough fits tell where to begin.
     """
-    best = first
-    while True:
+    begin, best = first.pose, settle(target, source, first.pose, bias_sigmas, roughly=True)
+    while best is not None:
         begun = best
         for turned in _turned(begun.pose):
-            other = settle(target, source, turned, bias_sigmas)
+            other = settle(target, source, turned, bias_sigmas, roughly=True)
             if other is None or arc_between_m(other.pose, turned) > DISTANCE_M:
                 continue
             if _is_unlocked(other, best):
-                best = other
+                begin, best = turned, other
         if best is begun:
-            return best
+            break
+    return first if begin is first.pose else settle(target, source, begin, bias_sigmas) or first
 
 
 def _turned(pose: RigidTransform) -> Iterator[RigidTransform]:

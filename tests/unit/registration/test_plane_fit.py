@@ -135,7 +135,7 @@ def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
 def test_more_points_than_wanted_are_thinned_evenly(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     of_all = fit_planes(target, source, _HERE, _UNBIASED)
-    monkeypatch.setattr(plane_matches, "_MAX_POINTS", 800)
+    monkeypatch.setattr(plane_settling, "MAX_POINTS", 800)
     of_fewer = fit_planes(target, source, _HERE, _UNBIASED)
     assert of_fewer.pose.distance_to(_HERE)[0] < 0.004
     assert np.trace(_random_covariance(of_fewer)) > 1.7 * np.trace(_random_covariance(of_all))

@@ -61,10 +61,11 @@ def ends(monkeypatch):
     """Let fits end at the nearest of some poses (x deg, y deg, usual residual, matches), or nowhere near."""
 
     def settle_at(*wells):
-        def settle(target, source, start, bias_sigmas):
-            del target, source, bias_sigmas
-            near = [well for well in wells if start.distance_to(_turned(*well[:2]))[1] < np.deg2rad(0.5)]
-            return _ended(*near[0]) if near else None
+        def settle(target, source, T_target_source, bias_sigmas, *, roughly=False):
+            del target, source, bias_sigmas, roughly
+            turns_rad = [T_target_source.distance_to(_turned(*well[:2]))[1] for well in wells]
+            nearest = int(np.argmin(turns_rad))
+            return _ended(*wells[nearest]) if turns_rad[nearest] < np.deg2rad(0.5) else None
 
         monkeypatch.setattr(plane_settling, "settle", settle)
 
@@ -103,5 +104,5 @@ def test_other_poses_do_not(ends, other):
 
 def test_a_fit_that_strays_does_not(monkeypatch):
     """Matches reach 0.2 m, so what ends farther from its start was led there by chance."""
-    monkeypatch.setattr(plane_settling, "settle", lambda *_: _ended(4.0, 0.0, 0.005, 1200))
+    monkeypatch.setattr(plane_settling, "settle", lambda *_, **__: _ended(4.0, 0.0, 0.005, 1200))
     assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
