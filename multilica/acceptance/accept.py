@@ -22,6 +22,8 @@ _SLID_SHARE = 0.9
 # Points that pin a pose along its weakest direction: one point pins it to about 10 mm, so fewer than a tenth of one to
 # 30 mm at best. One of 966 accepted pairs had fewer, and 3 of 114 uncertain ones.
 _LEAST_INFORMATION = 0.1
+# Posts and niches constrain a pose along a tunnel. Most pairs in streets, yards and halls have a share of 0.2 to 1.
+_LONG_PLACE = 0.1
 # The fine registration changes the evidence of a rough one by less.
 _ROUGH_MARGIN = 2.0
 # The fine registration does not bring poses together that are farther apart, in metres or radians.
@@ -67,6 +69,11 @@ def accept_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
 def is_well_constrained(score: VisibilityScore, config: AcceptanceConfig) -> bool:
     """Return whether enough points constrain every direction, so that no pose beside it needs a test."""
     return score.min_information_eigenvalue >= config.min_well_constrained_eigenvalue
+
+
+def is_in_long_place(score: VisibilityScore) -> bool:
+    """Return whether a pose is that of a road between walls, or of a tunnel: what constrains it there often repeats."""
+    return score.slide_share < _LONG_PLACE
 
 
 def cannot_be_accepted(evidence: float, config: AcceptanceConfig) -> bool:

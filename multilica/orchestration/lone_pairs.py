@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from multilica import events
+from multilica.acceptance.accept import is_in_long_place
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import AcceptanceConfig
 from multilica.orchestration.pairs import register_sides
@@ -26,8 +27,8 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
 
-    A lone pair may have found one of many places if another pair fits at three or more: the scene repeats. It then
-    needs as much evidence as if these competed.
+    A lone pair may have found one of many places if another pair fits at three or more, or if it is precise in a
+    tunnel: the scene repeats. It then needs as much evidence as if these competed.
     """
     limits = state.config.acceptance
     repeats = any(_shows_repetition(pair, limits) for pair in state.registrations.values())
@@ -40,7 +41,8 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
             continue
         least = limits.min_evidence + limits.min_log_odds_margin
         doubt: tuple[Reason, ...] = ()
-        if repeats and pair.evidence < least:
+        may_repeat = repeats or (pair.verdict.accepted and is_in_long_place(pair.registrations[0].visibility))
+        if may_repeat and pair.evidence < least:
             doubt = (_little_evidence(pair, least),)
         elif len(members) + len(of_source) > 2 and _places(pair, limits) > 1:
             doubt = _competing(state, pair, others)

@@ -195,8 +195,9 @@ def _within_reach(
 
 
 def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:
-    """Run a few iterations at a time, so that progress can be recorded."""
-    for start in range(0, config.max_iterations, _OBSERVED_ITERATIONS):
+    """Run a few iterations at a time, so that progress can be recorded; few in all are not worth that."""
+    at_once = _OBSERVED_ITERATIONS if config.max_iterations > SHORT_ITERATIONS else SHORT_ITERATIONS
+    for start in range(0, config.max_iterations, at_once):
         result = small_gicp.align(
             target.engine_cloud,
             source.engine_cloud,
@@ -205,7 +206,7 @@ def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance
             registration_type="GICP",
             max_correspondence_distance=distance_m,
             num_threads=1,
-            max_iterations=min(_OBSERVED_ITERATIONS, config.max_iterations - start),
+            max_iterations=min(at_once, config.max_iterations - start),
             rotation_epsilon=config.rotation_epsilon_rad,
             translation_epsilon=config.translation_epsilon_m,
         )

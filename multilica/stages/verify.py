@@ -9,6 +9,7 @@ import numpy as np
 
 from multilica.acceptance.accept import (
     cannot_be_accepted,
+    is_in_long_place,
     is_surely_ambiguous,
     is_well_constrained,
     min_competing_evidence,
@@ -36,9 +37,6 @@ _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
 # Slid poses as near as this are always tested; farther ones as long as none competes with the best.
 _NEAR_SLIDE_M = 6.0
-# Along a road between walls or in a tunnel, posts and niches constrain a pose, and these repeat. Most pairs in streets,
-# yards and halls have a share of 0.2 to 1.
-_LONG_PLACE = 0.1
 # Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
 _EARLY_STOP_POSES = 6
 _EARLY_STOP_POSES_CONSTRAINED = 2
@@ -261,7 +259,7 @@ def _start_of(found: Registration) -> Hypothesis:
 def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> list[Hypothesis]:
     """Return poses along the weakest direction of a pose; none if it is well constrained, unless the place is long."""
     score = best.visibility
-    if is_well_constrained(score, config.acceptance) and score.slide_share >= _LONG_PLACE:
+    if is_well_constrained(score, config.acceptance) and not is_in_long_place(score):
         return []
     steps = round(reach_m / SLIDE_STEP_M)
     direction, max_baseline_m = score.slide_direction, config.acceptance.max_baseline_m

@@ -4,6 +4,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from multilica.config import CalibrationConfig
@@ -97,6 +98,20 @@ def test_a_lone_pair_needs_more_evidence_where_the_scene_repeats(doubt):
     assert undecided == {"bc", "ad"}
     assert not asked
     assert doubt(_THREE_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
+
+
+def _in_tunnel(made):
+    """The pair where the points hardly constrain a shift along x."""
+    best = made.registrations[0]
+    information = np.diag([50.0, 200.0, 200.0, 15.0, 200.0, 400.0])
+    return replace(made, registrations=(replace(best, visibility=replace(best.visibility, information=information)),))
+
+
+def test_a_lone_pair_needs_more_evidence_in_a_tunnel(doubt):
+    assert doubt(_in_tunnel(linked("a", "d", 100)))[0] == {"ad"}
+    imprecise = linked("a", "d", 100, Verdict("uncertain"))
+    for other in (_in_tunnel(linked("a", "d")), linked("a", "d", 100), _in_tunnel(imprecise)):
+        assert not doubt(other)[0]
 
 
 def test_a_second_search_confirms_it(doubt):

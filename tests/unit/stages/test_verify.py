@@ -266,7 +266,7 @@ def test_far_poses_repeat_after_any_number_of_periods(aisle, swapped):
 @pytest.mark.slow
 @pytest.mark.parametrize(("long_place", "slid"), [(0.0, False), (1.0, True)])
 def test_well_constrained_poses_are_slid_in_long_places(aisle, monkeypatch, long_place, slid):
-    monkeypatch.setattr(verify, "_LONG_PLACE", long_place)
+    monkeypatch.setattr("multilica.acceptance.accept._LONG_PLACE", long_place)
     _, found = _far(aisle, limits=_LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0}))
     assert any(each.derivation.startswith("slid by ") for each in found) == slid
 
