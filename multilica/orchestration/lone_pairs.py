@@ -62,7 +62,7 @@ def _places(pair: PairRegistration, config: AcceptanceConfig) -> int:
 
 def _little_evidence(pair: PairRegistration, least: float) -> Reason:
     text = (
-        f"only {pair.source} against {pair.target} joins their groups where the scene repeats "
+        f"only {pair.source} against {pair.target} joins their groups, and the scene may repeat "
         f"(evidence {pair.evidence:.1f}, needs {least:.1f})"
     )
     return Reason("held_by_repetition", pair.evidence, least, text)
