@@ -5,6 +5,7 @@ import tempfile
 from contextlib import ExitStack, contextmanager
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 pytest_plugins = ["tests.selection", "tests.slow_tests"]
 
@@ -57,6 +58,13 @@ def _one_core():
     """Starting workers takes longer than most calibrations of the tests; commands that tests start have all cores."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("multilica.workers.processes.available_cores", lambda: 1)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread():
+    """As in `calibrate`: on small matrices, the threads of BLAS take up to twenty times as long as one."""
+    with threadpool_limits(1):
         yield
 
 
