@@ -97,18 +97,22 @@ def settle_beside_lines(target: GicpCloud, source: GicpCloud, first: Settled, bi
 
     Such LiDARs fit in part where their lines meet, not the surfaces. Rough fits tell where to begin.
     """
-    begin, best = first.pose, settle(target, source, first.pose, bias_sigmas, roughly=True)
+
+    def settle_near(start: RigidTransform, *, roughly: bool) -> Settled | None:
+        found = settle(target, source, start, bias_sigmas, roughly=roughly)
+        return None if found is None or arc_between_m(found.pose, start) > DISTANCE_M else found
+
+    begin, best = first.pose, settle_near(first.pose, roughly=True)
     while best is not None:
         begun = best
         for turned in _turned(begun.pose):
-            other = settle(target, source, turned, bias_sigmas, roughly=True)
-            if other is None or arc_between_m(other.pose, turned) > DISTANCE_M:
-                continue
-            if _is_unlocked(other, best):
+            other = settle_near(turned, roughly=True)
+            if other is not None and _is_unlocked(other, best):
                 begin, best = turned, other
         if best is begun:
             break
-    return first if begin is first.pose else settle(target, source, begin, bias_sigmas) or first
+    found = None if begin is first.pose else settle_near(begin, roughly=False)
+    return found if found is not None and _is_unlocked(found, first) else first
 
 
 def _turned(pose: RigidTransform) -> Iterator[RigidTransform]:

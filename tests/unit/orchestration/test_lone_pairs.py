@@ -100,17 +100,17 @@ def test_a_lone_pair_needs_more_evidence_where_the_scene_repeats(doubt):
     assert doubt(_THREE_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
 
 
-def _in_tunnel(made):
-    """The pair where the points hardly constrain a shift along x."""
+def _in_long_place(made, along=15.0):
+    """The pair where few points constrain a shift along x, beside 200 that do across."""
     best = made.registrations[0]
-    information = np.diag([50.0, 200.0, 200.0, 15.0, 200.0, 400.0])
+    information = np.diag([50.0, 200.0, 200.0, along, 200.0, 400.0])
     return replace(made, registrations=(replace(best, visibility=replace(best.visibility, information=information)),))
 
 
 def test_a_lone_pair_needs_more_evidence_in_a_tunnel(doubt):
-    assert doubt(_in_tunnel(linked("a", "d", 100)))[0] == {"ad"}
-    imprecise = linked("a", "d", 100, Verdict("uncertain"))
-    for other in (_in_tunnel(linked("a", "d")), linked("a", "d", 100), _in_tunnel(imprecise)):
+    few, imprecise = linked("a", "d", 100), linked("a", "d", 100, Verdict("uncertain"))
+    assert doubt(_in_long_place(few))[0] == {"ad"}
+    for other in (_in_long_place(linked("a", "d")), _in_long_place(few, along=40.0), _in_long_place(imprecise)):
         assert not doubt(other)[0]
 
 

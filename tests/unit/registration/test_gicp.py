@@ -117,3 +117,11 @@ def test_the_narrower_cloud_is_the_source():
     result = register_narrower(source, target, RigidTransform.identity("s", "t"), FineConfig())
     assert (result.target, result.source) == ("t", "s")
     assert result.T_target_source.distance_to(_TRUTH)[0] < 0.005
+
+
+def test_short_runs_are_one_step_per_distance():
+    target, source = _clouds(FineConfig())
+    start = RigidTransform.identity("t", "s")
+    short, long = (register(target, source, start, FineConfig(max_iterations=most)) for most in (10, 30))
+    assert len(short.steps) == len(FineConfig().max_correspondence_distances_m) < len(long.steps)
+    assert short.T_target_source.distance_to(long.T_target_source)[0] < 0.001

@@ -58,12 +58,17 @@ def _turned(x_deg, y_deg=0.0):
 
 @pytest.fixture
 def ends(monkeypatch):
-    """Let fits end at the nearest of some poses (x deg, y deg, usual residual, matches), or nowhere near."""
+    """Let fits end at the nearest of some poses (x deg, y deg, usual residual, matches), or nowhere near.
 
-    def settle_at(*wells):
-        def settle(target, source, T_target_source, bias_sigmas, *, roughly=False):
-            del target, source, bias_sigmas, roughly
-            turns_rad = [T_target_source.distance_to(_turned(*well[:2]))[1] for well in wells]
+    Fits of all points may end at another one.
+    """
+
+    def settle_at(*wells, of_all=None):
+        def settle(target, source, start, bias_sigmas, *, roughly=False):
+            del target, source, bias_sigmas
+            if of_all is not None and not roughly:
+                return _ended(*of_all)
+            turns_rad = [start.distance_to(_turned(*well[:2]))[1] for well in wells]
             nearest = int(np.argmin(turns_rad))
             return _ended(*wells[nearest]) if turns_rad[nearest] < np.deg2rad(0.5) else None
 
@@ -102,7 +107,24 @@ def test_other_poses_do_not(ends, other):
     assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("of_all", [(0.6, 0.0, 0.03, 1200), (4.0, 0.0, 0.01, 1000)], ids=["locked again", "strayed"])
+def test_a_rough_fit_that_all_points_deny_does_not(ends, of_all):
+    ends((0.0, 0.0, 0.02, 1000), _LOCKED, of_all=of_all)
+    assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
+
+
 def test_a_fit_that_strays_does_not(monkeypatch):
     """Matches reach 0.2 m, so what ends farther from its start was led there by chance."""
-    monkeypatch.setattr(plane_settling, "settle", lambda *_, **__: _ended(4.0, 0.0, 0.005, 1200))
+
+    def settle(target, source, start, bias_sigmas, *, roughly=False):
+        del target, source, bias_sigmas, roughly
+        return _ended(*_LOCKED) if start.distance_to(_turned(1.0))[1] < 1e-3 else _ended(4.0, 0.0, 0.005, 1200)
+
+    monkeypatch.setattr(plane_settling, "settle", settle)
     assert _ends_at(_LOCKED) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_rough_fit_takes_fewer_points_and_ends_near_by():
+    rough, full = (plane_settling.settle(*_clouds(64), _TRUTH, _SIGMAS, roughly=roughly) for roughly in (True, False))
+    assert len(rough.overlap.points_m) == 2_000 < len(full.overlap.points_m)
+    assert rough.pose.distance_to(full.pose)[0] < 0.005
