@@ -21,9 +21,9 @@ _RIG = Rig(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scene", "seed"), [("street", 9303), ("parking", 9304)])
+@pytest.mark.parametrize(("scene", "seed"), [("street", 9313), ("parking", 9301)])
 def test_rings_that_meet_turn_no_lidar(monkeypatch, scene, seed):
-    """With these, the right one had been 35 mm off in the street; in the other scene, none had a pose."""
+    """Where rings meet, the front one is placed 45 mm off in the street, and 95 mm in the other scene."""
     monkeypatch.setitem(RIGS, "sparse", _RIG)
     made = simulate_snapshot("sparse", scene, seed, frames=3)
     result = calibrate(made.snapshot, CalibrationConfig(target="left"))
