@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ import small_gicp
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.creep import Creep
 from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
 from multilica.results import GicpStep, PairRegistration
@@ -23,7 +24,11 @@ SHORT_ITERATIONS = 10
 """Iterations for a pose that may prove wrong."""
 
 # Iterations between two recorded steps.
-_OBSERVED_ITERATIONS = 3
+_OBSERVED_ITERATIONS = 2
+# Only the last of the correspondence distances has to converge fully.
+_LOOSER = 10.0
+# Longest leap of a registration that creeps, in correspondence distances.
+_LEAP = 0.5
 
 # Unbounded neighbour searches are slowest for points far from everything. Points beyond this many correspondence
 # distances, which GICP cannot bring back, are left out if that saves a fifth; some stay, for their covariances.
@@ -195,8 +200,11 @@ def _within_reach(
 
 
 def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:
-    """Run a few iterations at a time, so that progress can be recorded; few in all are not worth that."""
-    at_once = _OBSERVED_ITERATIONS if config.max_iterations > SHORT_ITERATIONS else SHORT_ITERATIONS
+    """Run a few iterations at a time, to record the progress and to leap where it creeps; few in all go at once."""
+    creep, looser, at_once = Creep(), 1.0, SHORT_ITERATIONS
+    if config.max_iterations > SHORT_ITERATIONS:
+        looser = 1.0 if distance_m == config.max_correspondence_distances_m[-1] else _LOOSER
+        at_once = _OBSERVED_ITERATIONS
     for start in range(0, config.max_iterations, at_once):
         result = small_gicp.align(
             target.engine_cloud,
@@ -207,8 +215,8 @@ def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance
             max_correspondence_distance=distance_m,
             num_threads=1,
             max_iterations=min(at_once, config.max_iterations - start),
-            rotation_epsilon=config.rotation_epsilon_rad,
-            translation_epsilon=config.translation_epsilon_m,
+            rotation_epsilon=looser * config.rotation_epsilon_rad,
+            translation_epsilon=looser * config.translation_epsilon_m,
         )
         before, iterations = state.pose, (state.iterations or 0) + result.iterations + 1
         pose, inliers = _moved(before, result.T_target_source), int(result.num_inliers)
@@ -218,6 +226,8 @@ def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance
         state = _Gicp(pose, state.points, iterations, bool(result.converged), hessian, steps)
         if state.converged:
             break
+        if start + at_once < config.max_iterations:
+            state = replace(state, pose=creep.leap(before, pose, _LEAP * distance_m))
     return state
 
 

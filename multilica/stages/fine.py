@@ -24,7 +24,7 @@ from multilica.registration.poses import arc_between_m, is_distinct, slid_hypoth
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.registration.stability import check_stability, perturbed_ends
 from multilica.registration.widening import widened, widened_with_biases
-from multilica.results import Hypothesis, PairRegistration, Registration, VisibilityScore
+from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.plans import alike_hypotheses
 from multilica.visibility.sensor_view import (
@@ -276,6 +276,7 @@ class _Pair:
             best = result.registrations[0]
             if self._needs_stability(result, best, others):
                 result = self._with_stability(by_gicp, result)
+                others = [best, *others]
                 best = result.registrations[0]
                 others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(result, hypothesis=best.hypothesis, registrations=(best, *others))
@@ -324,21 +325,14 @@ class _Pair:
         Args:
             by_gicp: the end of GICP, to which a perturbed registration returns.
         """
-        thinned_clouds = (self.target.thinned, self.source.thinned)
-        thinned = None if thinned_clouds == self.clouds else thinned_clouds
-        fine, perturbation_m = self.config.fine, self.config.acceptance.perturbation_m
         for last in (False, True):
-            best, pose = by_gicp.registrations[0], by_gicp.T_target_source
-            ends = perturbed_ends(self.clouds, pose, best.visibility.weakest_direction, perturbation_m, fine)
-            stability = check_stability(thinned, pose, fitted.information, ends, perturbation_m, fine)
-            apart = arc_between_m(*ends) > _SAME_END_M
-            if last or stability.perturbed_offset_m <= _SAME_END_M or apart or is_distinct(ends[0], [pose]):
-                break
-            further = self.register(replace(_start_of(best), T_target_source=ends[0]))
-            if further.evidence < best.evidence:
+            ends, stability = self._stability(by_gicp, fitted.information)
+            further = None if last else self._farther(by_gicp, ends)
+            if further is None:
                 break
             by_gicp = further
             fitted = self._fitted(by_gicp, _start_of(by_gicp.registrations[0])) if self.fit else by_gicp
+        best = by_gicp.registrations[0]
         off_m, direction = stability.perturbed_offset_m, best.visibility.weakest_direction
         information, of_biases = fitted.information, fitted.bias_information
         if information is not None:
@@ -349,6 +343,32 @@ class _Pair:
         stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
         scored = replace(fitted.registrations[0], stability=stability)
         return replace(fitted, information=information, bias_information=of_biases, registrations=(scored,))
+
+    def _stability(
+        self, by_gicp: PairRegistration, information: FloatArray | None
+    ) -> tuple[tuple[RigidTransform, RigidTransform], Stability]:
+        """Perturb a pose, on fewer points first: if it ends farther away than it was pushed, they do not hold it."""
+        fine, perturbation_m = self.config.fine, self.config.acceptance.perturbation_m
+        pose, direction = by_gicp.T_target_source, by_gicp.registrations[0].visibility.weakest_direction
+        thinned = (self.target.thinned, self.source.thinned)
+        if thinned != self.clouds:
+            ends = perturbed_ends(thinned, pose, direction, perturbation_m, fine)
+            off_m = max(arc_between_m(pose, end) for end in ends)
+            if off_m > perturbation_m:
+                return ends, Stability(*weakest_sigmas(information), perturbation_m, off_m, off_m)
+        ends = perturbed_ends(self.clouds, pose, direction, perturbation_m, fine)
+        of_fewer = None if thinned == self.clouds else thinned
+        return ends, check_stability(of_fewer, pose, information, ends, perturbation_m, fine)
+
+    def _farther(
+        self, by_gicp: PairRegistration, ends: tuple[RigidTransform, RigidTransform]
+    ) -> PairRegistration | None:
+        """Register where a pose ends from both sides, if that is elsewhere; None if it is not more likely there."""
+        if arc_between_m(*ends) > _SAME_END_M or arc_between_m(by_gicp.T_target_source, ends[0]) <= _SAME_END_M:
+            return None
+        best = by_gicp.registrations[0]
+        further = self.register(replace(_start_of(best), T_target_source=ends[0]))
+        return further if further.evidence >= best.evidence else None
 
     def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
         scored = score_registration(found, hypothesis, self.target.views, self.source.views, *FINE_TOLERANCES)

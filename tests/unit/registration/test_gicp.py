@@ -7,8 +7,10 @@ import pytest
 from multilica.config import FineConfig, preset
 from multilica.geometry import RigidTransform
 from multilica.registration import gicp
+from multilica.registration.creep import Creep
 from multilica.registration.gicp import fitness_and_rmse, prepare_gicp_cloud, register, register_narrower
 from multilica.registration.lazy_open3d import o3d
+from tests.unit.made_rooms import box, scan
 
 _TRUTH = RigidTransform.from_xyz_rpy("t", "s", [0.4, -0.2, 0.1], [0.02, -0.01, 0.05])
 
@@ -59,6 +61,31 @@ def test_it_converged_only_if_it_did_with_each_distance():
     result = register(*_clouds(many), start, many)
     assert result.steps[-1].iteration - result.steps[-2].iteration < 2
     assert not result.converged
+
+
+def test_along_a_tunnel_it_leaps_to_where_it_creeps(monkeypatch):
+    """Only a post at a wall holds the pose along it."""
+    tunnel = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.7, 0.0), (3.5, 2.0, 3.0))]
+    places = [RigidTransform.from_xyz_rpy("w", "t", [0.0, 0.0, 1.5], [0.0, 0.0, 0.0])]
+    places.append(RigidTransform.from_xyz_rpy("w", "s", [1.0, 0.3, 1.5], [0.0, 0.0, 0.4]))
+    config = FineConfig()
+    clouds = [prepare_gicp_cloud(at.source, scan(at.source, at, tunnel).points_m, config) for at in places]
+    start = RigidTransform.from_xyz_rpy("t", "s", [1.3, 0.3, 0.0], [0.0, 0.0, 0.4])
+    leaping = register(*clouds, start, config)
+    monkeypatch.setattr(Creep, "leap", lambda _self, _before, after, _longest_m: after)
+    creeping = register(*clouds, start, config)
+    assert leaping.converged
+    assert leaping.iterations < 0.75 * creeping.iterations
+    assert leaping.T_target_source.distance_to(creeping.T_target_source)[0] < 1e-3
+
+
+def test_only_the_last_distance_has_to_converge_fully(monkeypatch):
+    config, found = FineConfig(translation_epsilon_m=1e-6), []
+    for looser in (gicp._LOOSER, 1.0):
+        monkeypatch.setattr(gicp, "_LOOSER", looser)
+        found.append(register(*_clouds(config), RigidTransform.identity("t", "s"), config))
+    assert found[0].iterations < found[1].iterations
+    assert found[0].T_target_source.distance_to(found[1].T_target_source)[0] < 1e-5
 
 
 def test_fitness_and_rmse_are_those_of_open3d():

@@ -8,9 +8,9 @@ from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
-from multilica.registration.sensor_biases import prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
 from multilica.registration.stability import check_stability, perturbed_ends
-from multilica.registration.widening import loosened, widened
+from multilica.registration.widening import loosened, widened, widened_with_biases
 from multilica.results import BiasInformation
 from multilica.results.registrations import weakest_sigmas
 from tests.unit.made_pairs import pair
@@ -105,6 +105,24 @@ def test_a_push_leaves_what_is_known_of_biases():
     after = np.linalg.inv(widened(root @ root.T, _direction(4), 0.05))
     assert np.allclose(after[6:], before[6:], rtol=1e-6)
     assert np.isclose(after[4, 4], before[4, 4] + 0.05**2)
+
+
+def test_an_offset_is_added_to_the_covariance_of_pose_and_biases():
+    """Not to what random errors cause of it."""
+    rng = np.random.default_rng(0)
+    size = 6 + 2 * BIAS_COUNT
+    roots = rng.normal(size=(3, size, size))
+    information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(size)
+    found = BiasInformation(information, np.zeros(size), spread, random, np.zeros(2 * BIAS_COUNT))
+    direction, off_m = rng.normal(size=6), 0.3
+    wide = widened_with_biases(found, direction, off_m)
+    step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(2 * BIAS_COUNT)])
+    before, after = np.linalg.inv(information), np.linalg.inv(wide.information)
+    np.testing.assert_allclose(after, before + np.outer(step, step), atol=1e-9)
+    expected = before @ spread @ before + np.outer(step, step)
+    np.testing.assert_allclose(after @ wide.spread @ after, expected, atol=1e-9 * np.abs(expected).max())
+    expected = before @ random @ before
+    np.testing.assert_allclose(after @ wide.random_spread @ after, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_loosened_registration_has_larger_sigmas():

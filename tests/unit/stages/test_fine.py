@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.acceptance.accept import competing_poses
+from multilica.acceptance.accept import competing_poses, slides
 from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.registration import widening
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import PlaneFit
 from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
+from multilica.registration.stability import perturbed_ends
 from multilica.results import BiasInformation, Hypothesis
 from multilica.stages import fine
 from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
@@ -222,24 +222,6 @@ def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
         assert along @ before @ along > 1e3
 
 
-def test_an_offset_is_added_to_the_covariance_of_pose_and_biases():
-    """Not to what random errors cause of it."""
-    rng = np.random.default_rng(0)
-    size = 6 + 2 * BIAS_COUNT
-    roots = rng.normal(size=(3, size, size))
-    information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(size)
-    found = BiasInformation(information, np.zeros(size), spread, random, np.zeros(2 * BIAS_COUNT))
-    direction, off_m = rng.normal(size=6), 0.3
-    wide = widening.widened_with_biases(found, direction, off_m)
-    step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(2 * BIAS_COUNT)])
-    before, after = np.linalg.inv(information), np.linalg.inv(wide.information)
-    np.testing.assert_allclose(after, before + np.outer(step, step), atol=1e-9)
-    expected = before @ spread @ before + np.outer(step, step)
-    np.testing.assert_allclose(after @ wide.spread @ after, expected, atol=1e-9 * np.abs(expected).max())
-    expected = before @ random @ before
-    np.testing.assert_allclose(after @ wide.random_spread @ after, expected, atol=1e-9 * np.abs(expected).max())
-
-
 def test_without_the_fit_there_is_no_information(sides, monkeypatch):
     monkeypatch.setattr(fine, "fit_planes", pytest.fail)
     result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG, fit=False)
@@ -313,6 +295,31 @@ def test_a_registration_that_stopped_short_is_moved_on(sides, monkeypatch):
     assert best.stability.perturbed_offset_m < 1e-3
 
 
+def _pushed_apart(ends, registered):
+    """Replace the ends of perturbed registrations of fewer points, and count those of all points."""
+
+    def perturbed(clouds, pose, *rest):
+        if len(clouds[1].points_m) < 1500:
+            return ends
+        registered.append(pose)
+        return perturbed_ends(clouds, pose, *rest)
+
+    return perturbed
+
+
+@pytest.mark.parametrize(("far_m", "all_points"), [(0.29, 1), (0.31, 0)])
+def test_a_pose_that_few_points_do_not_hold_slides(sides, monkeypatch, far_m, all_points):
+    registered = []
+    ends = _near(_TRUTH, yaw_rad=0.0), _near(_TRUTH, (far_m, 0.0, 0.0), 0.0)
+    monkeypatch.setattr(fine, "perturbed_ends", _pushed_apart(ends, registered))
+    result = register_best(*_with_gicp(sides, max_points=1500), [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
+    assert len(registered) == all_points
+    stability = result.registrations[0].stability
+    assert slides(stability, _CONFIG.acceptance) is not bool(all_points)
+    if not all_points:
+        assert stability.perturbed_offset_m == stability.thinned_offset_m == pytest.approx(far_m, abs=0.01)
+
+
 @pytest.fixture(scope="module")
 def corridor():
     """Two sensors in a long corridor, where only a locker constrains the pose along it."""
@@ -333,6 +340,20 @@ def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m, monkeypat
     (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], _CONFIG).registrations
     assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
     assert stuck.stability.perturbed_offset_m > _CONFIG.acceptance.max_perturbed_offset_m
+
+
+@pytest.mark.slow
+def test_few_points_lead_from_a_slid_pose_to_the_true_one(corridor, monkeypatch):
+    """The slid pose stays a competing one."""
+    monkeypatch.setattr(fine, "slid_hypotheses", lambda *_: [])
+    monkeypatch.setattr(fine, "perturbed_ends", _pushed_apart((_TRUTH, _TRUTH), []))
+    slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [3.0, 0, 0], [0, 0, 0]) @ _SOURCE
+    found = register_best(*_with_gicp(corridor, max_points=1500), [_hypothesis(slid, 4)], _CONFIG)
+    best, other = found.registrations
+    _assert_true(best.T_target_source)
+    assert best.hypothesis == 4
+    assert best.stability.perturbed_offset_m < _CONFIG.acceptance.max_perturbed_offset_m
+    assert other.T_target_source.distance_to(_TRUTH)[0] > 1.0
 
 
 @pytest.mark.slow
