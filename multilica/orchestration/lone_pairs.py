@@ -27,11 +27,12 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
 
-    A lone pair may have found one of many places if another pair fits at three or more, or if it is precise in a
-    tunnel: the scene repeats. It then needs as much evidence as if these competed.
+    A lone pair may have found one of many places if the search of another pair found three or more, or if it is precise
+    in a tunnel: the scene repeats. It then needs as much evidence as if these competed.
     """
     limits = state.config.acceptance
-    repeats = any(_shows_repetition(pair, limits) for pair in state.registrations.values())
+    found = (*state.registrations.values(), *state.searched.values())
+    repeats = any(_shows_repetition(pair, limits) for pair in found)
     joining = [pair for pair in state.registrations.values() if pair.verdict.outcome in ("accept", "uncertain")]
     searched = [pair for pair in joining if pair.hypothesis != IMPLIED and pair.registrations]
     for pair in searched:

@@ -130,7 +130,7 @@ def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m:
             state.verified[pair] = found.verified
             state.observe(events.HypothesesVerified(*pair, found.verified))
         if found.registration is not None:
-            state.registrations[pair] = found.registration
+            state.registrations[pair] = state.searched[pair] = found.registration
             state.observe(events.PairRegistered(found.registration))
 
 

@@ -44,7 +44,11 @@ def deadline_of(config: CalibrationConfig) -> float:
 
 @dataclass(slots=True)
 class CalibrationState:
-    """Results of the stages so far."""
+    """Results of the stages so far.
+
+    Args:
+        searched: the pairs as their search ended; in `registrations`, those that other pairs imply replace them.
+    """
 
     snapshot: Snapshot
     config: CalibrationConfig
@@ -57,6 +61,7 @@ class CalibrationState:
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
+    searched: dict[PairKey, PairRegistration] = field(default_factory=dict)
     scores: _Scores = field(default_factory=dict)
     rough_scores: _Scores = field(default_factory=dict)
     tested_loops: set[PairKey] = field(default_factory=set)

@@ -29,7 +29,7 @@ def _searched(target, source, other=True):
 def doubt(monkeypatch):
     """Doubt pairs with a made verdict on groups; returns the undecided pairs, and the groups that were registered."""
 
-    def run(*pairs, verdict=_REPEATS):
+    def run(*pairs, verdict=_REPEATS, searched=()):
         asked, seen = [], []
 
         def register(target, source, hypotheses, _):
@@ -44,7 +44,10 @@ def doubt(monkeypatch):
         monkeypatch.setattr(lone_pairs, "register_sides", register)
         monkeypatch.setattr(lone_pairs, "_side_of", side_of)
         registrations = {(pair.target, pair.source): pair for pair in pairs}
-        state = SimpleNamespace(registrations=registrations, config=CalibrationConfig(), observe=seen.append)
+        before = {(pair.target, pair.source): pair for pair in searched}
+        state = SimpleNamespace(
+            registrations=registrations, searched=before, config=CalibrationConfig(), observe=seen.append
+        )
         lone_pairs.doubt_lone_pairs(state)
         undecided = [pair for pair in state.registrations.values() if pair.verdict.outcome == "undecided"]
         changed = [each.registration for each in seen if isinstance(each, VerdictChanged)]
@@ -98,6 +101,13 @@ def test_a_lone_pair_needs_more_evidence_where_the_scene_repeats(doubt):
     assert undecided == {"bc", "ad"}
     assert not asked
     assert doubt(_THREE_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
+
+
+def test_three_places_of_a_search_count_after_a_loop(doubt):
+    implied = replace(linked("b", "c"), hypothesis=-1)
+    pairs = (implied, linked("a", "d", 100), linked("a", "b"))
+    assert doubt(*pairs, searched=[_THREE_PLACES])[0] == {"ad"}
+    assert not doubt(*pairs, searched=[_TWO_PLACES])[0]
 
 
 def _in_long_place(made, along=15.0):
