@@ -150,7 +150,7 @@ class GicpStep:
         inliers: source points that have a target point within `max_correspondence_distance_m`.
         fitness: their share of all source points.
         error: the engine's objective; NaN where the engine does not report it.
-        translation_step_m, rotation_step_rad: movement of the iterations since the last observed moment.
+        translation_step_m, rotation_step_rad: movement of the iterations since the last observed moment, without leaps.
     """
 
     iteration: int

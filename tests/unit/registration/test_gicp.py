@@ -63,20 +63,33 @@ def test_it_converged_only_if_it_did_with_each_distance():
     assert not result.converged
 
 
-def test_along_a_tunnel_it_leaps_to_where_it_creeps(monkeypatch):
-    """Only a post at a wall holds the pose along it."""
-    tunnel = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.7, 0.0), (3.5, 2.0, 3.0))]
+@pytest.fixture
+def tunnel():
+    """Clouds of a tunnel where only a post at a wall holds the pose along it, and a start 0.3 m off."""
+    faces = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.7, 0.0), (3.5, 2.0, 3.0))]
     places = [RigidTransform.from_xyz_rpy("w", "t", [0.0, 0.0, 1.5], [0.0, 0.0, 0.0])]
     places.append(RigidTransform.from_xyz_rpy("w", "s", [1.0, 0.3, 1.5], [0.0, 0.0, 0.4]))
     config = FineConfig()
-    clouds = [prepare_gicp_cloud(at.source, scan(at.source, at, tunnel).points_m, config) for at in places]
-    start = RigidTransform.from_xyz_rpy("t", "s", [1.3, 0.3, 0.0], [0.0, 0.0, 0.4])
-    leaping = register(*clouds, start, config)
+    clouds = [prepare_gicp_cloud(at.source, scan(at.source, at, faces).points_m, config) for at in places]
+    return *clouds, RigidTransform.from_xyz_rpy("t", "s", [1.3, 0.3, 0.0], [0.0, 0.0, 0.4])
+
+
+def test_along_a_tunnel_it_leaps_to_where_it_creeps(tunnel, monkeypatch):
+    leaping = register(*tunnel, FineConfig())
     monkeypatch.setattr(Creep, "leap", lambda _self, _before, after, _longest_m: after)
-    creeping = register(*clouds, start, config)
+    creeping = register(*tunnel, FineConfig())
     assert leaping.converged
     assert leaping.iterations < 0.75 * creeping.iterations
     assert leaping.T_target_source.distance_to(creeping.T_target_source)[0] < 1e-3
+
+
+def test_iterations_follow_each_leap(tunnel, monkeypatch):
+    leaps = []
+    monkeypatch.setattr(Creep, "leap", lambda _self, _before, after, longest_m: leaps.append(longest_m) or after)
+    result = register(*tunnel, FineConfig(max_iterations=12))
+    assert not result.converged
+    steps_m = [step.max_correspondence_distance_m for step in result.steps]
+    assert leaps == [0.5 * steps_m[k] for k in range(len(steps_m) - 1) if steps_m[k + 1] == steps_m[k]]
 
 
 def test_only_the_last_distance_has_to_converge_fully(monkeypatch):

@@ -307,7 +307,7 @@ def _pushed_apart(ends, registered):
     return perturbed
 
 
-@pytest.mark.parametrize(("far_m", "all_points"), [(0.29, 1), (0.31, 0)])
+@pytest.mark.parametrize(("far_m", "all_points"), [(0.26, 1), (0.32, 0)])
 def test_a_pose_that_few_points_do_not_hold_slides(sides, monkeypatch, far_m, all_points):
     registered = []
     ends = _near(_TRUTH, yaw_rad=0.0), _near(_TRUTH, (far_m, 0.0, 0.0), 0.0)
@@ -317,7 +317,7 @@ def test_a_pose_that_few_points_do_not_hold_slides(sides, monkeypatch, far_m, al
     stability = result.registrations[0].stability
     assert slides(stability, _CONFIG.acceptance) is not bool(all_points)
     if not all_points:
-        assert stability.perturbed_offset_m == stability.thinned_offset_m == pytest.approx(far_m, abs=0.01)
+        assert stability.perturbed_offset_m == stability.thinned_offset_m == pytest.approx(far_m, abs=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -354,6 +354,18 @@ def test_few_points_lead_from_a_slid_pose_to_the_true_one(corridor, monkeypatch)
     assert best.hypothesis == 4
     assert best.stability.perturbed_offset_m < _CONFIG.acceptance.max_perturbed_offset_m
     assert other.T_target_source.distance_to(_TRUTH)[0] > 1.0
+
+
+@pytest.mark.slow
+def test_few_points_do_not_lead_to_a_pose_with_less_evidence(corridor, monkeypatch):
+    slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [3.0, 0, 0], [0, 0, 0]) @ _SOURCE
+    monkeypatch.setattr(fine, "slid_hypotheses", lambda *_: [])
+    monkeypatch.setattr(fine, "perturbed_ends", _pushed_apart((slid, slid), []))
+    found = register_best(
+        *_with_gicp(corridor, max_points=1500), [_hypothesis(_near(_TRUTH, yaw_rad=0.0))], _NEVER_FIRM
+    )
+    _assert_true(found.T_target_source)
+    assert slides(found.registrations[0].stability, _CONFIG.acceptance)
 
 
 @pytest.mark.slow
