@@ -99,6 +99,11 @@ def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfi
     return any(best.lead_over(other) < config.min_log_odds_margin - _ROUGH_MARGIN for other in others)
 
 
+def may_compete(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
+    """Return whether another roughly registered pose may compete with the first after the fine registration."""
+    return best.lead_over(other) < config.min_log_odds_margin + _ROUGH_MARGIN
+
+
 def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> float:
     """Return the evidence below which a roughly registered pose will not compete with the best."""
     return (

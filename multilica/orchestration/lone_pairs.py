@@ -1,59 +1,109 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs that alone join two groups, tested with all that these groups see."""
+"""Pairs that alone, or with few others, join two groups, tested with all that these groups see."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from multilica import events
-from multilica.acceptance.accept import is_in_long_place
+from multilica.acceptance.accept import is_in_long_place, may_compete
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import AcceptanceConfig
+from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import register_sides
 from multilica.orchestration.state import CalibrationState
+from multilica.registration.poses import is_distinct, is_near
 from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Verdict, connected
 from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
 
-# A pair that may be turned has two places; more are those of things that repeat.
-_REPEATED = 3
-
 
 def doubt_lone_pairs(state: CalibrationState) -> None:
-    """Leave pairs undecided that alone join two groups, if the groups fit as well at another pose.
+    """Leave pairs undecided that join two groups with little evidence, or alone where these groups fit elsewhere too.
 
-    A search that finds several poses with enough evidence decides by what two LiDARs see, and their groups see more.
+    If a search found several poses with enough evidence, all but one are wrong: here a wrong pose may have enough. The
+    pairs that join two groups then need together as much as if another pose competed. So do those that are precise in
+    a tunnel.
+
+    A pair decides by what two LiDARs see, and their groups see more: a lone pair is also tested at the other poses that
+    its search found, and at those that both groups and a third LiDAR imply.
+
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
+    """
+    settled: dict[PairKey, tuple[Reason, ...]] = {}
+    while joint := next(_doubtful_joints(state, settled), None):
+        _doubt_joint(state, *joint)
 
-    A lone pair may have found one of many places if the search of another pair found three or more, or if it is precise
-    in a tunnel: the scene repeats. It then needs as much evidence as if these competed.
+
+def doubt_merge(
+    state: CalibrationState, merge: PairRegistration, between: Sequence[PairRegistration]
+) -> PairRegistration:
+    """Leave two groups undecided that no pair joins, and that fit with little evidence in a scene that may repeat.
+
+    Args:
+        between: the registrations of their members.
     """
     limits = state.config.acceptance
-    found = (*state.registrations.values(), *state.searched.values())
-    repeats = any(_shows_repetition(pair, limits) for pair in found)
-    joining = [pair for pair in state.registrations.values() if pair.verdict.outcome in ("accept", "uncertain")]
+    least = limits.min_evidence + limits.min_log_odds_margin
+    joined = any(_may_join(pair) for pair in between)
+    if not _may_join(merge) or joined or merge.evidence >= least or not _scene_repeats(state):
+        return merge
+    joins = f"no pair joins the groups of {merge.target} and {merge.source}"
+    return replace(merge, verdict=Verdict("undecided", (_may_repeat(joins, merge.evidence, least),)))
+
+
+_Joint = tuple[Sequence[PairRegistration], set[str], set[str]]
+"""The pairs that join two groups, and the LiDARs of both."""
+
+
+def _doubtful_joints(
+    state: CalibrationState, settled: dict[PairKey, tuple[Reason, ...]]
+) -> Iterator[tuple[_Joint, tuple[Reason, ...]]]:
+    """Yield the pairs that join two groups and are in doubt, with the reasons; the weakest first.
+
+    Args:
+        settled: the lone pairs whose groups were registered, which takes long, with what was found.
+    """
+    joining = [pair for pair in state.registrations.values() if _may_join(pair)]
     searched = [pair for pair in joining if pair.hypothesis != IMPLIED and pair.registrations]
-    for pair in searched:
-        others = [each for each in searched if each is not pair]
+    repeats = _scene_repeats(state)
+    tree = PairGraph.of(sorted(state.clouds), searched).tree
+    for pair in reversed(tree):
+        others = [each for each in tree if each is not pair]
         members, of_source = connected(pair.target, others), connected(pair.source, others)
-        if pair.source in members:
-            continue
-        least = limits.min_evidence + limits.min_log_odds_margin
-        doubt: tuple[Reason, ...] = ()
-        may_repeat = repeats or (pair.verdict.accepted and is_in_long_place(pair.registrations[0].visibility))
-        if may_repeat and pair.evidence < least:
-            doubt = (_little_evidence(pair, least),)
-        elif len(members) + len(of_source) > 2 and _places(pair, limits) > 1:
-            doubt = _competing(state, pair, others)
-        for key, each in state.registrations.items():
-            if doubt and each in joining and len(each.lidars & members) == len(each.lidars & of_source) == 1:
-                _doubt(state, key, doubt)
+        across = [each for each in searched if each.lidars & members and each.lidars & of_source]
+        doubt = _little_evidence(pair, across, repeats, state.config.acceptance)
+        if not doubt and len(across) == 1:
+            key = pair.target, pair.source
+            if key not in settled:
+                settled[key] = _competing(state, pair, others)
+            doubt = settled[key]
+        if doubt:
+            yield (across, members, of_source), doubt
 
 
-def _shows_repetition(pair: PairRegistration, config: AcceptanceConfig) -> bool:
-    return pair.verdict.outcome == "undecided" and _places(pair, config) >= _REPEATED
+def _scene_repeats(state: CalibrationState) -> bool:
+    """Return whether the search of a pair found several poses with enough evidence: all but one are wrong."""
+    found = (*state.registrations.values(), *state.searched.values())
+    return any(_places(pair, state.config.acceptance) > 1 for pair in found)
+
+
+def _may_join(pair: PairRegistration) -> bool:
+    return pair.verdict.outcome in ("accept", "uncertain")
+
+
+def _doubt_joint(state: CalibrationState, joint: _Joint, doubt: tuple[Reason, ...]) -> None:
+    """Leave pairs undecided that join two groups, and all that were registered where these implied them."""
+    across, members, of_source = joint
+    gone = {pair.lidars for pair in across}
+    for key, each in list(state.registrations.items()):
+        joins = each.lidars & members and each.lidars & of_source
+        repeats = each.hypothesis == IMPLIED and not gone.isdisjoint(state.implied_by.get(key, ()))
+        if _may_join(each) and (joins or repeats):
+            _doubt(state, key, doubt)
 
 
 def _places(pair: PairRegistration, config: AcceptanceConfig) -> int:
@@ -61,27 +111,81 @@ def _places(pair: PairRegistration, config: AcceptanceConfig) -> int:
     return sum(each.evidence >= config.min_evidence for each in pair.registrations)
 
 
-def _little_evidence(pair: PairRegistration, least: float) -> Reason:
+def _little_evidence(
+    pair: PairRegistration, across: Sequence[PairRegistration], repeats: bool, limits: AcceptanceConfig
+) -> tuple[Reason, ...]:
+    """Return why the pairs that join two groups have too little evidence where wrong poses have some; else nothing."""
+    least, evidence = limits.min_evidence + limits.min_log_odds_margin, sum(each.evidence for each in across)
+    long = all(each.verdict.accepted and is_in_long_place(each.registrations[0].visibility) for each in across)
+    if evidence >= least or not (repeats or long):
+        return ()
+    joins = f"only {pair.source} against {pair.target} joins their groups"
+    if len(across) > 1:
+        joins = f"only {len(across)} pairs, as {pair.source} against {pair.target}, join their groups"
+    return (_may_repeat(joins, evidence, least),)
+
+
+def _may_repeat(joins: str, evidence: float, least: float) -> Reason:
+    text = f"{joins}, and the scene may repeat (evidence {evidence:.1f}, needs {least:.1f})"
+    return Reason("held_by_repetition", evidence, least, text)
+
+
+def _elsewhere(pair: PairRegistration, pose: RigidTransform, evidence: float) -> Reason:
+    metres, radians = pair.T_target_source.distance_to(pose)
     text = (
-        f"only {pair.source} against {pair.target} joins their groups, and the scene may repeat "
-        f"(evidence {pair.evidence:.1f}, needs {least:.1f})"
+        f"only {pair.source} against {pair.target} joins their groups, which fit better {metres:.2f} m and "
+        f"{np.rad2deg(radians):.0f} deg away (evidence {evidence:.1f} against {pair.evidence:.1f})"
     )
-    return Reason("held_by_repetition", pair.evidence, least, text)
+    return Reason("ambiguous", pair.evidence - evidence, 0.0, text)
 
 
 def _competing(
     state: CalibrationState, pair: PairRegistration, others: Sequence[PairRegistration]
 ) -> tuple[Reason, ...]:
     """Return why the groups that a pair joins fit as well at another pose; nothing if they do not."""
-    target, source = (_side_of(state, root, others) for root in (pair.target, pair.source))
-    found = register_sides(target, source, [Hypothesis(pair.T_target_source)], state.config)
+    graph = PairGraph.of(sorted(state.clouds), others)
+    further = _through_others(state, pair, graph)
+    sees_more = len(graph.poses(pair.target)) + len(graph.poses(pair.source)) > 2
+    if not further and not (sees_more and _places(pair, state.config.acceptance) > 1):
+        return ()
+    target, source = (_side_of(state, graph, root) for root in (pair.target, pair.source))
+    starts = [Hypothesis(pose) for pose in (pair.T_target_source, *further)]
+    found = register_sides(target, source, starts, state.config)
+    pose = found.T_target_source.with_target(pair.target)
+    if is_distinct(pose, [pair.T_target_source]):
+        return (_elsewhere(pair, pose, found.evidence),)
     competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
     return tuple(replace(reason, competing=None) for reason in competing)
 
 
-def _side_of(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> RegistrationCloud:
-    """Prepare the LiDARs that pairs connect to the root, in its frame."""
-    poses = sorted(PairGraph.of(sorted(state.clouds), pairs).poses(root).items())
+def _through_others(state: CalibrationState, pair: PairRegistration, graph: PairGraph) -> list[RigidTransform]:
+    """Return poses of a pair that may compete with it: those that both its groups found to a third LiDAR imply."""
+    targets, sources = graph.poses(pair.target), graph.poses(pair.source)
+    limits, known = state.config.acceptance, state.score_rough_pose(pair.T_target_source)
+    found: list[RigidTransform] = []
+    for lidar in sorted({*state.clouds} - {*targets, *sources}):
+        before = [T_root @ each for name, T_root in sorted(targets.items()) for each in _poses(state, name, lidar)]
+        after = [T_root @ each for name, T_root in sorted(sources.items()) for each in _poses(state, name, lidar)]
+        for to_target, to_source in product(before, after):
+            pose = to_target @ to_source.inverse()
+            is_new = is_near(pose, limits.max_baseline_m) and is_distinct(pose, [pair.T_target_source, *found])
+            if is_new and may_compete(known, state.score_rough_pose(pose), limits):
+                found.append(pose)
+    return found
+
+
+def _poses(state: CalibrationState, target: str, source: str) -> Iterable[RigidTransform]:
+    """Yield the poses between two LiDARs that a search found and that would count by themselves."""
+    least = state.config.acceptance.min_evidence
+    for pair in (state.searched.get((target, source)), state.searched.get((source, target))):
+        for each in pair.registrations if pair is not None else ():
+            if each.evidence >= least:
+                yield each.T_target_source.with_target(target)
+
+
+def _side_of(state: CalibrationState, graph: PairGraph, root: str) -> RegistrationCloud:
+    """Prepare the LiDARs that pairs of a graph connect to the root, in its frame."""
+    poses = sorted(graph.poses(root).items())
     if len(poses) == 1:
         return state.lidars[root].side
     points_m = np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in poses])

@@ -12,6 +12,7 @@ from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.lone_pairs import doubt_merge
 from multilica.orchestration.member_pairs import fit_members
 from multilica.orchestration.pairs import SearchRequest, prepare_lidar, register_sides, search_pair
 from multilica.orchestration.state import CalibrationState
@@ -127,6 +128,7 @@ def _register_groups(
 
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
     if found is not None:
+        found = doubt_merge(state, found, pairs)
         state.observe(events.GroupsRegistered(found))
     return found
 

@@ -156,6 +156,7 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     }
     state.tested_loops.update(poses)
     graph = PairGraph.of(state.clouds, state.accepted)
+    state.implied_by |= {pair: [each.lidars for each in graph.path(*pair)] for pair in poses}
     contradicted = _register_implied(state, poses, {pair: "-".join(graph.lidars_between(*pair)) for pair in poses})
     pairs = sorted(contradicted - searched)
     searched.update(pairs)

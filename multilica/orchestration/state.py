@@ -48,6 +48,7 @@ class CalibrationState:
 
     Args:
         searched: the pairs as their search ended; in `registrations`, those that other pairs imply replace them.
+        implied_by: of pairs that others imply, the LiDARs of each of these.
     """
 
     snapshot: Snapshot
@@ -62,6 +63,7 @@ class CalibrationState:
     verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
     searched: dict[PairKey, PairRegistration] = field(default_factory=dict)
+    implied_by: dict[PairKey, list[frozenset[str]]] = field(default_factory=dict)
     scores: _Scores = field(default_factory=dict)
     rough_scores: _Scores = field(default_factory=dict)
     tested_loops: set[PairKey] = field(default_factory=set)

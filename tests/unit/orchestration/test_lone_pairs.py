@@ -11,7 +11,7 @@ from multilica.config import CalibrationConfig
 from multilica.events import VerdictChanged
 from multilica.orchestration import lone_pairs
 from multilica.results import Reason, Verdict
-from tests.unit.acceptance.made_rig import linked, scored, true_pose
+from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
 from tests.unit.made_pairs import pose
 
 _REPEATS = Verdict("undecided", (Reason("held_by_repetition", 1.0, 4.6, "the scene repeats", scored(pose("a", "d"))),))
@@ -21,33 +21,48 @@ _ELSEWHERE = pose("a", "d", (7.0, 0.0, 0.0))
 def _searched(target, source, other=True):
     """A pair whose search found another pose that would count by itself."""
     made = linked(target, source)
-    further = (scored(_ELSEWHERE, 300),) if other else ()
+    further = (scored(pose(target, source, (7.0, 0.0, 0.0)), 300),) if other else ()
     return replace(made, registrations=(*made.registrations, *further))
+
+
+def _state(pairs, searched=(), rough=(), implied_by=None):
+    """Results of the stages; `rough` poses score as well as the best, others have no evidence."""
+
+    def score(at):
+        return scored(at, 600 if any(at.distance_to(each)[0] < 1e-6 for each in rough) else 0)
+
+    keyed = ({(pair.target, pair.source): pair for pair in each} for each in (pairs, searched))
+    registrations, before = keyed
+    return SimpleNamespace(
+        registrations=registrations,
+        searched=before,
+        config=CalibrationConfig(),
+        clouds=dict.fromkeys("abcd"),
+        implied_by=implied_by or {},
+        score_rough_pose=score,
+    )
 
 
 @pytest.fixture
 def doubt(monkeypatch):
-    """Doubt pairs with a made verdict on groups; returns the undecided pairs, and the groups that were registered."""
+    """Doubt pairs with a made registration of groups; returns the undecided pairs, and what was registered."""
 
-    def run(*pairs, verdict=_REPEATS, searched=()):
+    def run(*pairs, verdict=_REPEATS, at=None, **results):
         asked, seen = [], []
 
         def register(target, source, hypotheses, _):
-            asked.append((target, source))
-            start = hypotheses[0].T_target_source
+            start, *further = (each.T_target_source for each in hypotheses)
             assert start.distance_to(true_pose(start.target, start.source)) == pytest.approx((0.0, 0.0), abs=1e-9)
-            return SimpleNamespace(verdict=verdict)
+            asked.append((target, source, *(each.xyz_m.tolist() for each in further)))
+            return SimpleNamespace(verdict=verdict, T_target_source=at or start, evidence=20.0)
 
-        def side_of(_, root, joined):
-            return lone_pairs.connected(root, joined)
+        def side_of(_, graph, root):
+            return {*graph.poses(root)}
 
         monkeypatch.setattr(lone_pairs, "register_sides", register)
         monkeypatch.setattr(lone_pairs, "_side_of", side_of)
-        registrations = {(pair.target, pair.source): pair for pair in pairs}
-        before = {(pair.target, pair.source): pair for pair in searched}
-        state = SimpleNamespace(
-            registrations=registrations, searched=before, config=CalibrationConfig(), observe=seen.append
-        )
+        state = _state(pairs, **results)
+        state.observe = seen.append
         lone_pairs.doubt_lone_pairs(state)
         undecided = [pair for pair in state.registrations.values() if pair.verdict.outcome == "undecided"]
         changed = [each.registration for each in seen if isinstance(each, VerdictChanged)]
@@ -90,24 +105,57 @@ def test_groups_that_fit_at_no_other_pose_leave_it(doubt, verdict):
     assert len(asked) == 1
 
 
+def test_groups_that_fit_better_elsewhere_are_not_joined(doubt):
+    assert doubt(*_GROUP, _searched("a", "d"), verdict=Verdict("accept"), at=_ELSEWHERE)[0] == {"ad"}
+
+
+def test_what_both_found_to_a_third_lidar_is_tested(doubt):
+    """Searches of both LiDARs to a third one imply a pose that their own search missed."""
+    shifted = moved_to(replace(linked("c", "d"), verdict=Verdict("undecided")), pose("c", "d", (3.0, 0.0, 0.0)))
+    to_third = replace(linked("a", "c"), verdict=Verdict("undecided"))
+    implied = true_pose("a", "c") @ shifted.T_target_source
+    pairs = linked("a", "d"), to_third, shifted
+    undecided, asked = doubt(*pairs, searched=(to_third, shifted), rough=(true_pose("a", "d"), implied))
+    assert undecided == {"ad", "ac", "cd"}
+    assert asked == [({"a"}, {"d"}, pytest.approx(implied.xyz_m.tolist()))]
+    assert doubt(*pairs, searched=(to_third, shifted), rough=(true_pose("a", "d"),)) == ({"ac", "cd"}, [])
+
+
+def test_pairs_that_a_doubted_one_implied_go_with_it(doubt):
+    """Their ends are linked by nothing else, so that no group tells that they repeat it."""
+    implied = replace(linked("b", "c"), hypothesis=-1)
+    through = {("b", "c"): [frozenset("ab"), frozenset("ad"), frozenset("cd")]}
+    pairs = linked("a", "b"), _searched("a", "d"), implied
+    assert doubt(*pairs, implied_by=through)[0] == {"ad", "bc"}
+    assert doubt(*pairs, implied_by={("b", "c"): [frozenset("ab")]})[0] == {"ad"}
+
+
 _TWO_PLACES = replace(_searched("b", "c"), verdict=Verdict("undecided"))
-_THREE_PLACES = replace(_TWO_PLACES, registrations=(*_TWO_PLACES.registrations, _TWO_PLACES.registrations[1]))
 
 
 def test_a_lone_pair_needs_more_evidence_where_the_scene_repeats(doubt):
     few = linked("a", "d", 100)
     assert 2.3 < few.evidence < 6.9
-    undecided, asked = doubt(_THREE_PLACES, few, linked("a", "b"))
+    undecided, asked = doubt(_TWO_PLACES, few, linked("a", "b"))
     assert undecided == {"bc", "ad"}
     assert not asked
-    assert doubt(_THREE_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
+    assert doubt(_TWO_PLACES, linked("a", "d"), linked("a", "b"))[0] == {"bc"}
 
 
-def test_three_places_of_a_search_count_after_a_loop(doubt):
+def test_places_of_a_search_count_after_a_loop(doubt):
     implied = replace(linked("b", "c"), hypothesis=-1)
     pairs = (implied, linked("a", "d", 100), linked("a", "b"))
-    assert doubt(*pairs, searched=[_THREE_PLACES])[0] == {"ad"}
-    assert not doubt(*pairs, searched=[_TWO_PLACES])[0]
+    assert doubt(*pairs, searched=[_TWO_PLACES])[0] == {"ad"}
+    assert not doubt(*pairs, searched=[linked("b", "c")])[0]
+
+
+@pytest.mark.parametrize(("distinctive", "doubted"), [(30, {"ad", "bd"}), (200, set())])
+def test_pairs_that_join_two_groups_count_together(doubt, distinctive, doubted):
+    """Two LiDARs side by side that take one house for the next agree."""
+    weak = [linked("a", "d", distinctive), linked("b", "d", distinctive)]
+    assert all(pair.evidence < 6.9 for pair in weak)
+    assert (sum(pair.evidence for pair in weak) < 6.9) == bool(doubted)
+    assert doubt(_searched("a", "b"), *weak) == (doubted, [])
 
 
 def _in_long_place(made, along=15.0):
@@ -124,14 +172,16 @@ def test_a_lone_pair_needs_more_evidence_in_a_tunnel(doubt):
         assert not doubt(other)[0]
 
 
-def test_a_second_search_confirms_it(doubt):
-    pairs = [linked(*names, 100) for names in ("ab", "bd", "ad")]
-    assert doubt(_THREE_PLACES, *pairs)[0] == {"bc"}
+@pytest.mark.parametrize("distinctive", [100, 600])
+@pytest.mark.parametrize("between", [[], [linked("a", "d", 100)]], ids=["no pair", "a pair"])
+def test_groups_without_a_pair_need_as_much(distinctive, between):
+    merge = linked("a", "d", distinctive)
+    found = lone_pairs.doubt_merge(_state([_TWO_PLACES]), merge, between)
+    assert found.verdict.codes == (("held_by_repetition",) if distinctive == 100 and not between else ())
+    assert lone_pairs.doubt_merge(_state([]), merge, between) is merge
 
 
-@pytest.mark.parametrize(
-    "other", [_TWO_PLACES, replace(_THREE_PLACES, verdict=Verdict("reject"))], ids=["two poses", "refused"]
-)
-def test_a_scene_that_does_not_repeat_asks_for_no_more(doubt, other):
-    undecided, _ = doubt(other, linked("a", "d", 100))
-    assert "ad" not in undecided
+def test_a_scene_that_does_not_repeat_asks_for_no_more(doubt):
+    refused = replace(linked("b", "c"), verdict=Verdict("reject"))
+    undecided, _ = doubt(refused, linked("a", "d", 100))
+    assert not undecided
