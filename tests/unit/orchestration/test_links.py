@@ -9,7 +9,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.orchestration import links
+from multilica.orchestration import link_search, links
 from multilica.orchestration.stop_views import DriveStop
 from multilica.results import DriveView, PairRegistration, Reason, Verdict, ViewPair
 from multilica.workers import Workers
@@ -34,11 +34,11 @@ def search(monkeypatch):
             found = PairRegistration(*request.pair, pose, 0.1, 0.1, 1, None, None, "", verdict=verdict)
             return SimpleNamespace(registration=None if outcome == "none" else found)
 
-        monkeypatch.setattr(links, "levels_of", lambda *_: {})
-        monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-        monkeypatch.setattr(links, "with_movable", lambda *_: {view: object() for view in freed})
-        monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
-        monkeypatch.setattr(links, "search_pair", made)
+        monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+        monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+        monkeypatch.setattr(link_search, "with_movable", lambda *_: {view: object() for view in freed})
+        monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
+        monkeypatch.setattr(link_search, "search_pair", made)
         assert links.search_links(stops, CalibrationConfig(), Workers()).links == ()
         return searched
 
@@ -88,11 +88,11 @@ def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
             )
         )
 
-    monkeypatch.setattr(links, "levels_of", lambda *_: {})
-    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-    monkeypatch.setattr(links, "with_movable", lambda *_: {})
-    monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
-    monkeypatch.setattr(links, "search_pair", made)
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "with_movable", lambda *_: {})
+    monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(link_search, "search_pair", made)
     found = links.search_links(_STOPS, CalibrationConfig(), Workers())
     assert len(found.links) == 1
     assert len(found.weak) == 3
@@ -112,13 +112,13 @@ def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, outcome):
     def along(_, found):
         return (lead, 4.0) if found.pair == ("front at stop 1", "rear at stop 2") else (2.0, 4.0)
 
-    monkeypatch.setattr(links, "levels_of", lambda *_: {})
-    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-    monkeypatch.setattr(links, "with_movable", lambda *_: {})
-    monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
-    monkeypatch.setattr(links, "next_round", lambda _, __, tried, priority: [] if tried else [*priority])
-    monkeypatch.setattr(links, "search_pair", made)
-    monkeypatch.setattr(links, "lead_along_slide", along)
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "with_movable", lambda *_: {})
+    monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(link_search, "next_round", lambda _, __, tried, priority: [] if tried else [*priority])
+    monkeypatch.setattr(link_search, "search_pair", made)
+    monkeypatch.setattr(link_search, "lead_along_slide", along)
     found = links.search_links(_STOPS, CalibrationConfig(), Workers()).links
     assert len(found) == 4
     for link in found:
@@ -139,11 +139,11 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
             pose.target, pose.source, pose, 9.0, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
         )
 
-    monkeypatch.setattr(links, "levels_of", lambda *_: {"front": here})
-    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-    monkeypatch.setattr(links, "score_roughly", lambda *_: SimpleNamespace(evidence=9.0))
-    monkeypatch.setattr(links, "choose_loops", lambda scores, *_: [*scores])
-    monkeypatch.setattr(links, "register_implied", registered)
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {"front": here})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "score_roughly", lambda *_: SimpleNamespace(evidence=9.0))
+    monkeypatch.setattr(link_search, "choose_loops", lambda scores, *_: [*scores])
+    monkeypatch.setattr(link_search, "register_implied", registered)
     pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6), verdict=made)
     motion = ViewPair(pose, "stop 1", "stop 2")
     rear = ViewPair(replace(pose, target="rear", source="rear"), "stop 1", "stop 2")
@@ -180,10 +180,10 @@ def registered(monkeypatch):
             verdict=Verdict("accept"),
         )
 
-    monkeypatch.setattr(links, "levels_of", lambda *_: {})
-    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-    monkeypatch.setattr(links, "score_roughly", lambda *_: SimpleNamespace(evidence=0.5))
-    monkeypatch.setattr(links, "register_implied", made)
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "score_roughly", lambda *_: SimpleNamespace(evidence=0.5))
+    monkeypatch.setattr(link_search, "register_implied", made)
 
 
 def _poses(*views, target="stop 1"):
@@ -220,9 +220,9 @@ def test_views_without_a_common_target_are_not_linked():
 
 def test_nothing_is_registered_after_the_time_limit(monkeypatch):
     """The motions, which are read by then, are kept."""
-    monkeypatch.setattr(links, "levels_of", lambda *_: {})
-    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
-    monkeypatch.setattr(links, "score_roughly", lambda *_: pytest.fail("scored"))
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "score_roughly", lambda *_: pytest.fail("scored"))
     here = RigidTransform.identity("front", "front")
     pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6))
     motion = ViewPair(pose, "stop 1", "stop 2")

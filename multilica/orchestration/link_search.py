@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Search between the views of different stops of a drive, and registration where other pairs tell their poses."""
+
+import time
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from multilica.acceptance.view_graph import ViewGraph
+from multilica.config import CalibrationConfig
+from multilica.geometry import RigidTransform
+from multilica.orchestration.pairs import (
+    PreparedLidar,
+    SearchRequest,
+    lead_along_slide,
+    priority_of,
+    register_implied,
+    score_implied,
+    score_roughly,
+    search_pair,
+)
+from multilica.orchestration.stop_views import DriveStop, least_evidence, levels_of, prepare_views, with_movable
+from multilica.registration.poses import is_distinct
+from multilica.results import (
+    DriveView,
+    Hypothesis,
+    PairKey,
+    PairRegistration,
+    Reason,
+    Registration,
+    Verdict,
+    ViewPair,
+)
+from multilica.stages.pair_choice import LEAST_PRIORITY, choose_loops, next_round
+from multilica.workers import Shared, Workers
+
+# As many searches per view in a row that find nothing are enough; so are half as many the second time.
+_FAILURES_PER_VIEW = 1.0
+_RETRIES_PER_VIEW = 0.5
+# Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
+_FAILURES_IF_DETERMINED = 0.5
+# Each link needs another that confirms it. More improve poses that nothing but links tells.
+_LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
+
+
+@dataclass(slots=True, eq=False)
+class LinkSearch:
+    """A search for links between the stops of a drive, and what it found so far.
+
+    Args:
+        stops: with prepared clouds.
+        deadline_s: on `time.monotonic`.
+        levels: poses of LiDARs over the ground.
+        links: by the labels of their views, as all below.
+        weak: links with too little evidence to count alone.
+        tested: pairs whose implied pose was tested.
+        not_reached: pairs of stops for which there was no time.
+        left_out: pairs that implied poses left with enough evidence, and that were not registered.
+        searched: pairs that were searched without a pose.
+    """
+
+    stops: Sequence[DriveStop]
+    config: CalibrationConfig
+    workers: Workers
+    deadline_s: float
+    levels: Mapping[str, RigidTransform] = field(default_factory=dict)
+    links: dict[PairKey, ViewPair] = field(default_factory=dict)
+    weak: dict[PairKey, ViewPair] = field(default_factory=dict)
+    tested: set[PairKey] = field(default_factory=set)
+    not_reached: set[tuple[str, str]] = field(default_factory=set)
+    left_out: set[PairKey] = field(default_factory=set)
+    searched: dict[PairKey, PairRegistration | None] = field(default_factory=dict)
+    loops_per_view: int = _LOOPS_PER_VIEW
+
+    @property
+    def _views(self) -> list[DriveView]:
+        return [DriveView(lidar, stop.name) for stop in self.stops for lidar in stop.lidars]
+
+    @property
+    def _of_label(self) -> dict[str, DriveView]:
+        return {view.label: view for view in self._views}
+
+    @property
+    def _between_stops(self) -> list[PairKey]:
+        """All pairs of views of different stops, by their labels."""
+        views = self._views
+        return [
+            (one.label, other.label)
+            for number, one in enumerate(views)
+            for other in views[number + 1 :]
+            if one.stop != other.stop
+        ]
+
+    def _graph(self, motions: Sequence[ViewPair] = ()) -> ViewGraph:
+        within = [ViewPair(pair, stop.name, stop.name) for stop in self.stops for pair in stop.pairs]
+        return ViewGraph.of(self._views, [*within, *self.links.values(), *motions])
+
+    def run(self) -> None:
+        """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
+        views = self.share()
+        if self._graph().is_determined:
+            self.loops_per_view = _LOOPS_IF_DETERMINED
+        pairs = self._between_stops
+        found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
+        priority = {pair: likely for pair, likely in found if likely >= LEAST_PRIORITY}
+        self._search(priority, _FAILURES_PER_VIEW)
+        if not self._graph().is_determined and (freed := with_movable(views, self.levels)):
+            self._search_again(freed, priority)
+        if self.loops_per_view > _LOOPS_IF_DETERMINED:
+            self.tested -= self.left_out
+            self._close_loops()
+        self._doubt_slid()
+
+    def _search_again(self, freed: Mapping[DriveView, PreparedLidar], priority: Mapping[PairKey, float]) -> None:
+        """Search once more if beams through movable objects refused a pair: they prove nothing now.
+
+        Args:
+            freed: views whose beams through such objects prove nothing.
+        """
+        labels = {view.label for view in freed}
+        self.workers.forget(labels)
+        for view, prepared in freed.items():
+            self.workers.share(view.label, prepared)
+        before = len(self.searched), len(self.links)
+        self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
+        self.tested.clear()
+        self._close_loops()
+        if (len(self.searched), len(self.links)) != before:
+            self._search(priority, _RETRIES_PER_VIEW)
+
+    def follow(self, motions: Sequence[ViewPair]) -> None:
+        """Register pairs of views from the poses that motions imply, then from those that these links imply."""
+        self.share()
+        implied = self._implied(self._graph(motions))
+        if self._is_late(implied):
+            return
+        self._register(implied, score_roughly)
+        self._close_loops()
+        self._doubt_slid()
+
+    def follow_poses(self, poses: Mapping[DriveView, RigidTransform], known: Collection[frozenset[DriveView]]) -> None:
+        """Register pairs of views from their poses, all that beams agree with but the known ones."""
+        of_label = self._of_label
+        implied: dict[PairKey, RigidTransform] = {}
+        for pair in self._between_stops:
+            target, source = (of_label[label] for label in pair)
+            if frozenset((target, source)) in known or not {target, source} <= poses.keys():
+                continue
+            if poses[target].target == poses[source].target:
+                implied[pair] = poses[target].inverse() @ poses[source]
+        if not implied or self._is_late(implied):
+            return
+        self.share()
+        self.loops_per_view = len(of_label)
+        self._register(implied, score_roughly, least_evidence(self.config))
+        self._doubt_slid()
+
+    def share(self) -> dict[DriveView, PreparedLidar]:
+        """Prepare all views, and share them with the workers."""
+        self.levels = levels_of(self.stops, self.config)
+        views = prepare_views(self.stops, self.levels, self.config)
+        for view, prepared in views.items():
+            self.workers.share(view.label, prepared)
+        return views
+
+    def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
+        labels = [view.label for view in self._views]
+        tried: set[PairKey] = {*self.links, *self.searched}
+        failures = 0
+        while True:
+            graph = self._graph()
+            most = min(per_view, _FAILURES_IF_DETERMINED) if graph.is_determined else per_view
+            if failures >= most * len(labels):
+                break
+            linked = [(graph.group_of(view).label, view.label) for view in self._views]
+            pairs = next_round(labels, linked, tried, priority)
+            if not pairs or self._is_late(pairs):
+                break
+            tried.update(pairs)
+            requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
+            before = len(self.links)
+            for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
+                self.searched[pair] = search.registration
+                self._keep(pair, search.registration)
+            self._close_loops()
+            failures = 0 if len(self.links) > before else failures + len(pairs)
+
+    def _is_late(self, pairs: Iterable[PairKey]) -> bool:
+        """Return whether there is no time for pairs, and remember their stops then."""
+        if time.monotonic() < self.deadline_s:
+            return False
+        of_label = self._of_label
+        self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
+        return True
+
+    def _close_loops(self) -> None:
+        """Register pairs of views from the poses that other pairs imply."""
+        implied = {pair: pose for pair, pose in self._implied(self._graph()).items() if pair not in self.tested}
+        self.tested.update(implied)
+        self.left_out |= self._register(implied, score_implied)
+
+    def _implied(self, graph: ViewGraph) -> dict[PairKey, RigidTransform]:
+        of_label = self._of_label
+        return {
+            (target, source): pose
+            for target, source in self._between_stops
+            if (target, source) not in self.links
+            if (pose := graph.implied(of_label[target], of_label[source])) is not None
+        }
+
+    def _register(
+        self,
+        implied: Mapping[PairKey, RigidTransform],
+        score: Callable[[Shared, RigidTransform], Registration],
+        least: float | None = None,
+    ) -> set[PairKey]:
+        """Register the most promising pairs from their poses; return the others that have enough evidence."""
+        scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
+        least = self.config.acceptance.min_evidence if least is None else least
+        chosen = choose_loops(scores, least, self.loops_per_view)
+        starts = [Hypothesis(implied[pair]) for pair in chosen]
+        for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
+            if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
+                self._keep(pair, found)
+        return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
+
+    def _doubt_slid(self) -> None:
+        """Leave all links of two LiDARs undecided if a place farther along the way fits one of them better.
+
+        Along a rail with posts, links follow from a wrong one and fit like it, but not always best.
+        """
+        between = {pair: link for pair, link in self.links.items() if len(link.registration.lidars) > 1}
+        found = [link.registration.registrations[0] for link in between.values()]
+        leads = dict(zip(between, self.workers.map(lead_along_slide, found), strict=True))
+        worst: dict[frozenset[str], tuple[float, float]] = {}
+        for pair, link in between.items():
+            worst[link.registration.lidars] = min(leads[pair], worst.get(link.registration.lidars, leads[pair]))
+        for pair, link in between.items():
+            lead, away_m = worst[link.registration.lidars]
+            if lead < 0.0:
+                one, other = sorted(link.registration.lidars)
+                text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"
+                verdict = Verdict("undecided", (Reason("held_by_repetition", lead, 0.0, text),))
+                self.links[pair] = replace(link, registration=replace(link.registration, verdict=verdict))
+
+    def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
+        if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:
+            return
+        target, source = self._of_label[found.target], self._of_label[found.source]
+        pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
+        of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
+        is_weak = found.evidence < self.config.acceptance.min_evidence
+        (self.weak if is_weak else self.links)[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:
+    """Return whether another search may find the pair once beams through movable objects of some views prove nothing.
+
+    Only beams that found its space empty depend on these objects. A pose that was undecided has enough evidence, and
+    fewer beams against its competitors do not decide it.
+    """
+    if found is None or found.verdict.outcome != "reject" or "empty_space_violated" not in found.verdict.codes:
+        return False
+    return any(label in freed for label in pair)
