@@ -119,6 +119,9 @@ def test_what_both_found_to_a_third_lidar_is_tested(doubt):
     assert undecided == {"ad", "ac", "cd"}
     assert asked == [({"a"}, {"d"}, pytest.approx(implied.xyz_m.tolist()))]
     assert doubt(*pairs, searched=(to_third, shifted), rough=(true_pose("a", "d"),)) == ({"ac", "cd"}, [])
+    by_chance = replace(to_third, registrations=(scored(true_pose("a", "c"), 5),))
+    assert by_chance.evidence < 2.3
+    assert not doubt(*pairs, searched=(by_chance, shifted), rough=(true_pose("a", "d"), implied))[1]
 
 
 def test_pairs_that_a_doubted_one_implied_go_with_it(doubt):

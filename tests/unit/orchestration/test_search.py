@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registrations of searched pairs, and of pairs that others imply."""
+"""Registrations of searched pairs, of pairs that others imply, and of groups."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
 from multilica.config import CalibrationConfig
-from multilica.orchestration import search
+from multilica.orchestration import rig, search
 from multilica.orchestration.pairs import PairSearch, register_implied, score_implied, search_pair
 from multilica.orchestration.state import CalibrationState
-from multilica.results import Verdict
-from tests.unit.acceptance.made_rig import linked, scored, true_pose
+from multilica.results import Group, Verdict
+from tests.unit.acceptance.made_rig import linked, registered, scored, true_pose
+from tests.unit.made_pairs import pose
 
 
 def test_what_a_search_found_outlives_a_loop():
@@ -28,3 +29,27 @@ def test_what_a_search_found_outlives_a_loop():
     search._register_implied(state, {("a", "b"): true_pose("a", "b")}, {("a", "b"): "a-c-b"})
     assert state.registrations["a", "b"] is looped
     assert state.searched["a", "b"] is found
+
+
+def test_the_chain_that_implied_a_pair_is_remembered(monkeypatch):
+    results = {score_implied: scored(true_pose("a", "c")), register_implied: replace(linked("a", "c"), hypothesis=-1)}
+    workers = SimpleNamespace(map=lambda task, items: [results[task] for _ in items])
+    state = CalibrationState(snapshot=None, config=CalibrationConfig(), observe=lambda _: None, workers=workers)
+    state.clouds = dict.fromkeys("abc")
+    state.registrations = {("a", "b"): linked("a", "b"), ("b", "c"): linked("b", "c")}
+    monkeypatch.setattr(search, "_check_pairs", lambda _: False)
+    search._close_loops(state, set())
+    assert state.registrations["a", "c"].hypothesis == -1
+    assert state.implied_by == {("a", "c"): [frozenset("ab"), frozenset("bc")]}
+
+
+def test_groups_without_a_pair_are_doubted_in_repeating_scenes(monkeypatch):
+    merge, seen = linked("a", "d", 100), []
+    state = CalibrationState(snapshot=None, config=CalibrationConfig(), observe=seen.append)
+    monkeypatch.setattr(rig, "register_groups", lambda *_: merge)
+    groups = Group.of_one("a"), Group.of_one("d")
+    assert rig._register_groups(state, *groups, []) is merge
+    state.searched = {("b", "c"): registered(true_pose("b", "c"), competing=[pose("b", "c", (7.0, 0.0, 0.0))])}
+    found = rig._register_groups(state, *groups, [])
+    assert found.verdict.codes == ("held_by_repetition",)
+    assert seen[-1].registration is found
