@@ -43,7 +43,7 @@ def check_scene_symmetry(
         The pairs in their order, some with another verdict.
     """
     return [
-        _turned(pair, pairs, score_pose, score_turned, config) if _may_join(pair) and pair.registrations else pair
+        _turned(pair, pairs, score_pose, score_turned, config) if may_join(pair) and pair.registrations else pair
         for pair in pairs
     ]
 
@@ -73,7 +73,7 @@ def _turned(
 
 
 def _is_confirmed(pair: PairRegistration, pairs: Sequence[PairRegistration]) -> bool:
-    return pair.source in connected(pair.target, [each for each in pairs if each is not pair and _may_join(each)])
+    return pair.source in connected(pair.target, [each for each in pairs if each is not pair and may_join(each)])
 
 
 def _is_possible(competing: Registration, symmetry: RigidTransform, score_turned: ScoreTurned, margin: float) -> bool:
@@ -113,7 +113,7 @@ def check_cycles(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
+    joining = [pair for pair in pairs if may_join(pair) and pair.registrations]
     names = sorted({name for pair in joining for name in pair.lidars})
     graph = PairGraph.of(names, joining)
     doubts: dict[int, Reason] = {}
@@ -165,7 +165,7 @@ def check_ambiguous_chains(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
+    joining = [pair for pair in pairs if may_join(pair) and pair.registrations]
     names = sorted({name for pair in pairs for name in pair.lidars})
     doubts: dict[int, Reason] = {}
     undecided = [pair for pair in pairs if pair.registrations and _is_ambiguous(pair, config)]
@@ -225,7 +225,7 @@ def check_shared_repetition(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
+    joining = [pair for pair in pairs if may_join(pair) and pair.registrations]
     undecided = [pair for pair in pairs if pair.registrations and _is_ambiguous(pair, config)]
     names = sorted({name for pair in pairs for name in pair.lidars})
     doubts: dict[int, Reason] = {}
@@ -274,7 +274,7 @@ def is_contradicted(pair: PairRegistration) -> bool:
     return _CODE in pair.verdict.codes
 
 
-def _may_join(pair: PairRegistration) -> bool:
+def may_join(pair: PairRegistration) -> bool:
     """Return whether the pair may join its LiDARs: an uncertain one does where no accepted pair joins them."""
     return pair.verdict.outcome in {"accept", "uncertain"}
 

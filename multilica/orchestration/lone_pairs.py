@@ -10,6 +10,7 @@ import numpy as np
 from multilica import events
 from multilica.acceptance.accept import is_in_long_place, may_compete
 from multilica.acceptance.pair_graph import PairGraph
+from multilica.acceptance.rig import may_join
 from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import register_sides
@@ -48,8 +49,8 @@ def doubt_merge(
     """
     limits = state.config.acceptance
     least = limits.min_evidence + limits.min_log_odds_margin
-    joined = any(_may_join(pair) for pair in between)
-    if not _may_join(merge) or joined or merge.evidence >= least or not _scene_repeats(state):
+    joined = any(may_join(pair) for pair in between)
+    if not may_join(merge) or joined or merge.evidence >= least or not _scene_repeats(state):
         return merge
     joins = f"no pair joins the groups of {merge.target} and {merge.source}"
     return replace(merge, verdict=Verdict("undecided", (_may_repeat(joins, merge.evidence, least),)))
@@ -67,7 +68,7 @@ def _doubtful_joints(
     Args:
         settled: the lone pairs whose groups were registered, which takes long, with what was found.
     """
-    joining = [pair for pair in state.registrations.values() if _may_join(pair)]
+    joining = [pair for pair in state.registrations.values() if may_join(pair)]
     searched = [pair for pair in joining if pair.hypothesis != IMPLIED and pair.registrations]
     repeats = _scene_repeats(state)
     tree = PairGraph.of(sorted(state.clouds), searched).tree
@@ -91,10 +92,6 @@ def _scene_repeats(state: CalibrationState) -> bool:
     return any(_places(pair, state.config.acceptance) > 1 for pair in found)
 
 
-def _may_join(pair: PairRegistration) -> bool:
-    return pair.verdict.outcome in ("accept", "uncertain")
-
-
 def _doubt_joint(state: CalibrationState, joint: _Joint, doubt: tuple[Reason, ...]) -> None:
     """Leave pairs undecided that join two groups, and all that were registered where these implied them."""
     across, members, of_source = joint
@@ -102,7 +99,7 @@ def _doubt_joint(state: CalibrationState, joint: _Joint, doubt: tuple[Reason, ..
     for key, each in list(state.registrations.items()):
         joins = each.lidars & members and each.lidars & of_source
         repeats = each.hypothesis == IMPLIED and not gone.isdisjoint(state.implied_by.get(key, ()))
-        if _may_join(each) and (joins or repeats):
+        if may_join(each) and (joins or repeats):
             _doubt(state, key, doubt)
 
 

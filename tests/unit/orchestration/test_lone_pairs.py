@@ -31,11 +31,9 @@ def _state(pairs, searched=(), rough=(), implied_by=None):
     def score(at):
         return scored(at, 600 if any(at.distance_to(each)[0] < 1e-6 for each in rough) else 0)
 
-    keyed = ({(pair.target, pair.source): pair for pair in each} for each in (pairs, searched))
-    registrations, before = keyed
     return SimpleNamespace(
-        registrations=registrations,
-        searched=before,
+        registrations={(pair.target, pair.source): pair for pair in pairs},
+        searched={(pair.target, pair.source): pair for pair in searched},
         config=CalibrationConfig(),
         clouds=dict.fromkeys("abcd"),
         implied_by=implied_by or {},
