@@ -7,8 +7,8 @@ NODE_READY := tests/node/node_modules/.installed
 ROS2_READY := tests/ros2/.venv/.installed
 SAMPLE := recordings/samples/edgar-street.mcap
 
-# One worker runs a module, so that its fixtures are made once.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# One worker runs a module, so that its fixtures are made once. Tests wait at times: three workers keep two cores busy.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # A process runs folders that import the same libraries: workers would import all of them each, and report every test.
 # The readers' tests mostly wait, so there are three processes for two cores.

@@ -141,6 +141,7 @@ def checked(project: Path) -> Path:
     return project
 
 
+@pytest.mark.slow
 def test_the_picture_in_the_comment_is_at_an_address(checked):
     code, ran = run_github(checked)
     assert (code, "Comment" in ran) == (0, True)

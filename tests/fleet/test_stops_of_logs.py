@@ -62,6 +62,7 @@ def test_poses_are_verified_at_all_stops(drive: SimulatedDrive, tmp_path: Path) 
     assert (row.state, row.placed) == ("verified", 3)
 
 
+@pytest.mark.in_turn
 def test_a_lidar_that_moved_later_is_no_longer_verified(drive: SimulatedDrive, tmp_path: Path) -> None:
     log = log_of_stops(driven(moved={"top": KNOCK}, moved_from=1))
     row, _ = row_of(log, tmp_path, known=known_of(drive))

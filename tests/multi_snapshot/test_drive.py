@@ -83,6 +83,7 @@ def test_a_drive_that_turns_places_lidars_without_a_common_view():
         assert np.abs((places[0].inverse() @ places[1]).matrix - stop.T_first_stop.matrix).max() < 0.02
 
 
+@pytest.mark.in_turn
 def test_with_a_half_turn_links_count_that_fit_nowhere_else():
     """Stops that are half a turn apart tell no position between them: each link has to fit at one place only."""
     result = _calibrated((*_TURNING[:2], (1.0, 6.0, 180.0)))

@@ -39,6 +39,7 @@ def sourced(prefix: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.in_turn
 @NEEDS_ROS2
 @pytest.mark.slow
 def test_a_service_needs_a_sourced_ros_2_alone(tmp_path: Path) -> None:

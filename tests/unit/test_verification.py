@@ -91,6 +91,7 @@ def test_pairs_for_which_there_is_no_time_are_told(monkeypatch: pytest.MonkeyPat
         assert some[name].reason.startswith("the time limit (--max-time) ended the check before its pairs with ")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_lidar_that_time_leaves_out_is_not_called_moved(monkeypatch: pytest.MonkeyPatch, truth: Extrinsics) -> None:
     moved = RigidTransform.from_xyz_rpy(truth.target, truth.target, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -178,6 +178,7 @@ def test_a_lidar_of_two_frames_a_second_tells(tmp_path: Path) -> None:
     assert snapshot.notes[0].startswith("The vehicle stands still from 0.0 to 4.5 s by the clouds on '/points'")
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_lidar_that_cannot_tell_leaves_it_to_another(tmp_path: Path) -> None:
     store = ros2_types()
