@@ -123,8 +123,6 @@ def _of(found: Sequence[CaseOutcome], scene: str, frames: int) -> list[CaseOutco
     return [each for each in found if (each.case.scene, each.frames) == (scene, frames)]
 
 
-
-
 def _run(task: tuple[Case, int]) -> CaseOutcome:
     case, frames = task
     made = simulate_snapshot(case.rig, case.scene, case.seed, frames=frames, disturbances=case.disturbances)
