@@ -13,7 +13,7 @@ from multilica.acceptance.accept import accept, accept_by_fitness, may_be_accept
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
-from multilica.registration.poses import moved
+from multilica.registration.poses import is_distinct, moved
 from multilica.results import (
     CoarseResult,
     Correspondences,
@@ -28,7 +28,7 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
-from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
+from multilica.stages.verify import VerificationCloud, find_poses_beside, short_gicp, verify_hypotheses
 from multilica.visibility.plans import shifted_poses
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
@@ -200,20 +200,26 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
             hypotheses = tuple(each.as_hypothesis(found.verified[0]) for each in found.verified)
         if hypotheses:
             found.registration = register_sides(target.side, source.side, hypotheses, config)
-        if target.view is not None and target.view.at_stop:
-            _beside_far_poses(found, target, source)
+        _beside_further_poses(found, target, source)
         finish("fine")
     return found
 
 
-def _beside_far_poses(search: PairSearch, target: PreparedLidar, source: PreparedLidar) -> None:
-    """Register a link that counts once more, beside poses far along its weakest direction that may compete with it."""
+def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: PreparedLidar) -> None:
+    """Register a pair that counts once more, beside poses that may compete with it and were not verified.
+
+    On a vehicle there are none beside the pose that led after the verification.
+    """
     registration, config = search.registration, target.config
-    if search.verified is None or registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
+    if not search.verified or registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
         return
-    further = find_far_poses(target.verification_cloud, source.verification_cloud, registration, config)
+    name, views = target.side.cloud.name, (target.verification_cloud, source.verification_cloud)
+    led = not is_distinct(search.verified[0].T_target_source, [registration.T_target_source.with_target(name)])
+    if led and not views[0].view.at_stop:
+        return
+    further = find_poses_beside(*views, registration, config, led=led)
     if further:
-        best, name = registration.registrations[0], target.side.cloud.name
+        best = registration.registrations[0]
         poses = [each.as_hypothesis(best) for each in (best, *further)]
         poses = [replace(each, T_target_source=each.T_target_source.with_target(name)) for each in poses]
         search.registration = register_sides(target.side, source.side, poses, config)

@@ -116,26 +116,40 @@ def verify_hypotheses(
     return tuple(_ranked(found, config))
 
 
-def find_far_poses(
-    target: VerificationCloud, source: VerificationCloud, registered: PairRegistration, config: CalibrationConfig
+def find_poses_beside(
+    target: VerificationCloud,
+    source: VerificationCloud,
+    registered: PairRegistration,
+    config: CalibrationConfig,
+    *,
+    led: bool,
 ) -> list[Registration]:
-    """Find poses between stops far along the weakest direction of a registered one that may compete with it.
+    """Find poses that may compete with a registered one and that `verify_hypotheses` did not test.
 
-    Posts of a rail and niches of a tunnel repeat after any number of periods. On a vehicle, the nearest pose that fits
-    is the likeliest by far. Between stops no distance is likelier than another, so all of them count. Only a pose that
-    would be accepted is worth this: along a bare wall every other pose fits as well.
+    Along a tunnel, poses that slide score best in the verification, and one far away may win in the end: only then its
+    own turned, repeated and slid poses can be tested, up to one that surely competes.
+
+    Between stops, poses far along the weakest direction of any pose are tested. Posts of a rail and niches of a tunnel
+    repeat after any number of periods. On a vehicle, the nearest pose that fits is the likeliest by far. Between stops
+    no distance is likelier than another, so all of them count. Only a pose that would be accepted is worth this: along
+    a bare wall every other pose fits as well.
 
     Args:
         registered: of these two LiDARs, in either order; so are the poses.
+        led: the registered pose was the best one after the verification, beside which others were tested.
     """
     if registered.target != target.view.lidar:
         target, source = source, target
     best, *others = registered.registrations
     score = score_visibility(target.view.alone, source.view.alone, best.T_target_source, *ROUGH_TOLERANCES)
     known = [replace(best, visibility=score), *others]
+    gicp = short_gicp(config.fine)
+    beside = [] if led else _competing_hypotheses(target.view, source.view, known[:1], gicp, config)
     found = known
-    for hypothesis in _far_slides(known[0], config):
-        found = _with_competing(target, source, found, hypothesis, short_gicp(config.fine), config)
+    for hypothesis, settings in (*beside, *((each, gicp) for each in _far_slides(known[0], config))):
+        if not led and is_surely_ambiguous(_ranked(found, config), config.acceptance):
+            break
+        found = _with_competing(target, source, found, hypothesis, settings, config)
     return [each for each in _ranked(found, config) if all(each is not other for other in known)]
 
 

@@ -94,34 +94,57 @@ def test_a_search_again_ends_where_nothing_can_be_accepted(lidars, monkeypatch):
     assert _search(lidars).registration is not None
 
 
-def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
-    """A made one, as likely as the pose itself, makes that undecided."""
+def _asked_for_poses_beside(monkeypatch):
+    """Return the calls for poses beside a registered one; a made one, as likely as the pose itself, is found."""
     asked = []
 
-    def found_far(_target, _source, registered, _config):
-        asked.append(registered)
+    def found_far(_target, _source, registered, _config, *, led):
+        asked.append((registered, led))
         (best, *_) = registered.registrations
         frame = best.T_target_source.target
         far = RigidTransform.from_xyz_rpy(frame, frame, (9, 0, 0), (0, 0, 0))
         return [replace(best, T_target_source=far @ best.T_target_source)]
 
-    monkeypatch.setattr(pairs, "find_far_poses", found_far)
+    monkeypatch.setattr(pairs, "find_poses_beside", found_far)
+    return asked
+
+
+def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
+    """A made one, as likely as the pose itself, makes that undecided."""
+    asked = _asked_for_poses_beside(monkeypatch)
     assert _search(lidars).registration.verdict.accepted
     assert asked == []
     lidars = {name: lidar.with_view(replace(lidar.view, at_stop=True)) for name, lidar in lidars.items()}
-    monkeypatch.setattr(pairs, "find_far_poses", lambda *_: [])
-    plain = _search(lidars)
-    monkeypatch.setattr(pairs, "find_far_poses", found_far)
+    with monkeypatch.context() as none_found:
+        none_found.setattr(pairs, "find_poses_beside", lambda *_, **__: [])
+        plain = _search(lidars)
     registered = []
     monkeypatch.setattr(pairs, "register_sides", _recording(pairs.register_sides, registered))
     found = _search(lidars)
-    assert [each.target for each in asked] == [plain.registration.target]
+    assert [(each.target, led) for each, led in asked] == [(plain.registration.target, True)]
     starts = [[each.T_target_source.target for each in hypotheses] for hypotheses in registered]
     assert starts[-1] == ["t", "t"]
     assert len(found.verified) == len(plain.verified) + 1
     monkeypatch.setattr(pairs, "accept", lambda *_: Verdict("undecided"))
     assert _search(lidars).registration.verdict.outcome == "undecided"
     assert len(asked) == 1
+
+
+def test_a_pose_that_did_not_lead_is_registered_beside_its_own(lidars, monkeypatch):
+    """The verification preferred a pose 20 m away; the registered one was not tested beside its own."""
+    asked = _asked_for_poses_beside(monkeypatch)
+    verify = pairs.verify_hypotheses
+
+    def preferring_another(*arguments):
+        (best, *others) = verify(*arguments)
+        frame = best.T_target_source.target
+        far = RigidTransform.from_xyz_rpy(frame, frame, (0, 20, 0), (0, 0, 0))
+        return (replace(best, T_target_source=far @ best.T_target_source), best, *others)
+
+    monkeypatch.setattr(pairs, "verify_hypotheses", preferring_another)
+    found = _search(lidars)
+    assert [led for _, led in asked] == [False]
+    assert len(found.registration.registrations) == 2
 
 
 def _recording(register, registered):

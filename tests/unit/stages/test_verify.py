@@ -11,7 +11,7 @@ from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
-from multilica.stages.verify import VerificationCloud, find_far_poses, short_gicp, verify_hypotheses
+from multilica.stages.verify import VerificationCloud, find_poses_beside, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_pairs import registration
 from tests.unit.made_rooms import HALL, box, scan
@@ -242,18 +242,18 @@ def _when_slid(found):
     return abs(metres), metres
 
 
-def _far(lidars, *, swapped=False, limits=_LIMITS):
+def _beside(lidars, *, swapped=False, limits=_LIMITS, led=True):
     target, source = reversed(lidars) if swapped else lidars
     (best,) = _verified([target, source], _TRUTH.inverse() if swapped else _TRUTH, limits=limits, near_slide_m=0.0)
     registered = register_narrower(target.cloud, source.cloud, best.T_target_source, _GICP)
     registered = replace(registered, target=target.view.lidar, source=source.view.lidar, registrations=(best,))
-    return best, find_far_poses(*lidars, registered, CalibrationConfig(acceptance=limits))
+    return best, find_poses_beside(*lidars, registered, CalibrationConfig(acceptance=limits), led=led)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("swapped", [False, True], ids=["as matched", "in the other order"])
 def test_far_poses_repeat_after_any_number_of_periods(aisle, swapped):
-    best, found = _far(aisle, swapped=swapped, limits=_NEVER_FIRM)
+    best, found = _beside(aisle, swapped=swapped, limits=_NEVER_FIRM)
     far_m = np.array([each.T_target_source.distance_to(best.T_target_source)[0] for each in found])
     assert len(found) >= 4
     assert far_m.min() > 4.0
@@ -264,10 +264,18 @@ def test_far_poses_repeat_after_any_number_of_periods(aisle, swapped):
 
 
 @pytest.mark.slow
+def test_a_pose_that_did_not_lead_is_tested_turned_and_repeated(aisle):
+    _, found = _beside(aisle, led=False)
+    ways = {each.derivation.split()[0] for each in found}
+    assert {"turned", "repeated"} & ways
+    assert not {"turned", "repeated"} & {each.derivation.split()[0] for each in _beside(aisle)[1]}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("long_place", "slid"), [(0.0, False), (1.0, True)])
 def test_well_constrained_poses_are_slid_in_long_places(aisle, monkeypatch, long_place, slid):
     monkeypatch.setattr("multilica.acceptance.accept._LONG_PLACE", long_place)
-    _, found = _far(aisle, limits=_LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0}))
+    _, found = _beside(aisle, limits=_LIMITS.model_copy(update={"min_well_constrained_eigenvalue": 0.0}))
     assert any(each.derivation.startswith("slid by ") for each in found) == slid
 
 
