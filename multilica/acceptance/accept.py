@@ -99,6 +99,17 @@ def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfi
     return any(best.lead_over(other) < config.min_log_odds_margin - _ROUGH_MARGIN for other in others)
 
 
+def surely_competing(roughly: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
+    """Select the roughly registered poses elsewhere that will compete with the first after the fine registration."""
+    best, *others = roughly
+    return [
+        other
+        for other in others
+        if is_distinct(other.T_target_source, [best.T_target_source], *_ELSEWHERE)
+        and is_surely_ambiguous([best, other], config)
+    ]
+
+
 def may_compete(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
     """Return whether another roughly registered pose may compete with the first after the fine registration."""
     return best.lead_over(other) < config.min_log_odds_margin + _ROUGH_MARGIN

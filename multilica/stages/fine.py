@@ -14,6 +14,7 @@ from multilica.acceptance.accept import (
     is_well_constrained,
     min_competing_evidence,
     slides,
+    surely_competing,
 )
 from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
@@ -229,18 +230,22 @@ class _Pair:
     ) -> list[PairRegistration]:
         """Register on fewer points; keep what is distinct from each other, and from others beside.
 
-        Good hypotheses come from a short GICP and need few iterations. A registration that has not
-        converged then continues only if it may win.
+        Good hypotheses come from a short GICP and need few iterations. A registration that has not converged then
+        continues only if it may win, the best first, until so many compete that no further one would decide.
         """
         clouds = self.target.thinned, self.source.thinned
         begun = [self._register(*clouds, hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]
         needed = min_competing_evidence(max(each.evidence for each in (*begun, *beside)), self.config.acceptance)
-        kept: list[PairRegistration] = []
-        for hypothesis, start in zip(hypotheses, begun, strict=True):
-            found = start
+        registered = [*begun]
+        for number in sorted(range(len(begun)), key=lambda number: -begun[number].evidence):
+            start = begun[number]
             if start.converged is False and start.evidence > needed:
-                further = replace(hypothesis, T_target_source=start.T_target_source)
-                found = self._register(*clouds, further, self.config.fine)
+                further = replace(hypotheses[number], T_target_source=start.T_target_source)
+                registered[number] = self._register(*clouds, further, self.config.fine)
+            if self._is_surely_undecided([*registered, *beside]):
+                break
+        kept: list[PairRegistration] = []
+        for found in registered:
             if is_distinct(found.T_target_source, [other.T_target_source for other in (*beside, *kept)]):
                 kept.append(found)
         return kept
@@ -258,6 +263,8 @@ class _Pair:
     def best_of(self, registered: Sequence[PairRegistration], *, thinned: bool) -> PairRegistration:
         """Return the one with the most evidence, on all points and with its stability; the others follow it.
 
+        A pose with which others surely compete stays as it is: all points would not decide between them.
+
         Args:
             thinned: the registrations are of fewer points.
         """
@@ -265,6 +272,8 @@ class _Pair:
         found = within_baseline([each.registrations[0] for each in registered], acceptance.max_baseline_m)
         best, *others = sorted(found, key=lambda each: -each.evidence)
         result = next(each for each in registered if each.registrations[0] is best)
+        if thinned and self._is_surely_undecided(registered):
+            return replace(result, registrations=(best, *others))
         if thinned and not cannot_be_accepted(best.evidence, acceptance):
             result = self._first_that_holds([best, *others])
             best = result.registrations[0]
@@ -280,6 +289,12 @@ class _Pair:
                 best = result.registrations[0]
                 others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(result, hypothesis=best.hypothesis, registrations=(best, *others))
+
+    def _is_surely_undecided(self, roughly: Sequence[PairRegistration]) -> bool:
+        """Return whether so many poses compete with the best of these that no further registration would decide."""
+        acceptance = self.config.acceptance
+        found = within_baseline([each.registrations[0] for each in roughly], acceptance.max_baseline_m)
+        return len(surely_competing(sorted(found, key=lambda each: -each.evidence), acceptance)) >= _SLIDE_POSES
 
     def _first_that_holds(self, ranked: Sequence[Registration]) -> PairRegistration:
         """Register poses on all points, up to the first that has enough evidence there too; else return the first."""
