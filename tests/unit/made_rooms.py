@@ -45,6 +45,18 @@ HALL = [
 ]
 """A hall with a pillar and two crates: no pose but the true one fits it."""
 
+AISLE_PERIOD_M = 3.0
+AISLE = [
+    *box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0)),
+    *(
+        face
+        for x_m in np.arange(-58.5, 60.0, AISLE_PERIOD_M)
+        for y_m in (2.6, -3.0)
+        for face in box((x_m, y_m, 0.0), (x_m + 0.6, y_m + 0.4, 3.0))
+    ),
+]
+"""A long aisle whose pillars repeat; nothing tells which is which."""
+
 
 def scan(
     name,

@@ -16,7 +16,7 @@ from multilica.stages import fine
 from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.selection import some_of
-from tests.unit.made_rooms import HALL, box, scan
+from tests.unit.made_rooms import AISLE, HALL, box, scan
 
 _CONFIG = CalibrationConfig()
 _NEVER_FIRM = with_overrides(_CONFIG, ["acceptance.min_well_constrained_eigenvalue=1e9"])
@@ -371,11 +371,7 @@ def test_few_points_do_not_lead_to_a_pose_with_less_evidence(corridor, monkeypat
 @pytest.mark.slow
 def test_groups_have_competing_poses_where_the_scene_repeats():
     """Pillars repeat every 3 m; pairs get such poses before, but groups have fewer of them."""
-    aisle = [*box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0))]
-    for x_m in np.arange(-58.5, 60.0, 3.0):
-        aisle += box((x_m, 2.6, 0.0), (x_m + 0.6, 3.0, 3.0))
-        aisle += box((x_m, -3.0, 0.0), (x_m + 0.6, -2.6, 3.0))
-    clouds = [scan(name, at, aisle, seed=seed, columns=720) for seed, (name, at) in enumerate(_PLACES)]
+    clouds = [scan(name, at, AISLE, seed=seed, columns=720) for seed, (name, at) in enumerate(_PLACES)]
     group, single = (_side(cloud) for cloud in clouds)
     group = replace(group, views=(*group.views, *group.views))
     start = [_hypothesis(_near(_TRUTH))]

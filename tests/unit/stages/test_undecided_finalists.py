@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from multilica.acceptance.accept import accept, surely_competing
@@ -16,10 +15,9 @@ from multilica.results import Hypothesis
 from multilica.stages import fine
 from multilica.stages.fine import prepare_registration_cloud, register_best
 from multilica.visibility.sensor_view import prepare_sensor_view
-from tests.unit.made_rooms import box, scan
+from tests.unit.made_rooms import AISLE, AISLE_PERIOD_M, scan
 
 _CONFIG = CalibrationConfig()
-_PERIOD_M = 3.0
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.0, 0.0, 0.0])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [0.0, 0.0, 0.3])
 _TRUTH = _TARGET.inverse() @ _SOURCE
@@ -27,12 +25,7 @@ _TRUTH = _TARGET.inverse() @ _SOURCE
 
 @pytest.fixture(scope="module")
 def sides():
-    """A long aisle whose pillars repeat, and nothing tells which is which."""
-    walls = [*box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0))]
-    for x_m in np.arange(-58.5, 60.0, _PERIOD_M):
-        walls += box((x_m, 2.6, 0.0), (x_m + 0.6, 3.0, 3.0))
-        walls += box((x_m, -3.0, 0.0), (x_m + 0.6, -2.6, 3.0))
-    clouds = scan("t", _TARGET, walls, columns=720), scan("s", _SOURCE, walls, seed=1)
+    clouds = scan("t", _TARGET, AISLE, columns=720), scan("s", _SOURCE, AISLE, seed=1)
     return tuple(_thinned(each) for each in clouds)
 
 
@@ -43,7 +36,7 @@ def _thinned(cloud):
 
 
 def _starts(*periods, off_m=0.05):
-    moved = [RigidTransform.from_xyz_rpy("t", "t", (n * _PERIOD_M + off_m, 0, 0), (0, 0, 0)) for n in periods]
+    moved = [RigidTransform.from_xyz_rpy("t", "t", (n * AISLE_PERIOD_M + off_m, 0, 0), (0, 0, 0)) for n in periods]
     return [Hypothesis(each @ _TRUTH, index=index) for index, each in enumerate(moved)]
 
 

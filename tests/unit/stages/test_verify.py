@@ -14,7 +14,7 @@ from multilica.stages import verify
 from multilica.stages.verify import VerificationCloud, find_poses_beside, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_pairs import registration
-from tests.unit.made_rooms import HALL, box, scan
+from tests.unit.made_rooms import AISLE, HALL, box, scan
 
 _LIMITS = AcceptanceConfig()
 _NEVER_FIRM = AcceptanceConfig(min_well_constrained_eigenvalue=1e9)
@@ -204,12 +204,7 @@ def test_a_pose_that_slid_along_pillars_is_corrected():
 
 @pytest.fixture(scope="module")
 def aisle():
-    """Pillars repeat every 3 m, and nothing tells which is which."""
-    walls = [*box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0))]
-    for x_m in np.arange(-58.5, 60.0, 3.0):
-        walls += box((x_m, 2.6, 0.0), (x_m + 0.6, 3.0, 3.0))
-        walls += box((x_m, -3.0, 0.0), (x_m + 0.6, -2.6, 3.0))
-    return _prepared(walls, columns=720)
+    return _prepared(AISLE, columns=720)
 
 
 @pytest.mark.slow
