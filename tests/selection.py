@@ -2,8 +2,8 @@
 """Plugin of pytest that chooses the tests of a push; `make nightly` sets MULTILICA_NIGHTLY and runs all.
 
 `@pytest.mark.nightly` is for more cases of tests that each push runs. `@pytest.mark.in_turn` is for expensive ones
-beside them: a push runs a quarter, others than the push before. `@pytest.mark.shows(*paths)` is for pictures and
-pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
+beside them: a push runs a quarter, others than the push before. `@pytest.mark.shows(*paths)` is for tests of pictures
+and pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
 """
 
 from __future__ import annotations

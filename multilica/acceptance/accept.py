@@ -88,9 +88,8 @@ def may_be_accepted(roughly: Sequence[Registration], config: AcceptanceConfig) -
     """
     if not roughly or cannot_be_accepted(roughly[0].evidence, config):
         return False
-    best, *others = roughly
-    elsewhere = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source], *_ELSEWHERE)]
-    return all(best.lead_over(other) >= config.min_log_odds_margin - 2.0 * _ROUGH_MARGIN for other in elsewhere)
+    least = config.min_log_odds_margin - 2.0 * _ROUGH_MARGIN
+    return all(roughly[0].lead_over(other) >= least for other in _elsewhere(roughly))
 
 
 def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfig) -> bool:
@@ -101,13 +100,13 @@ def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfi
 
 def surely_competing(roughly: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
     """Select the roughly registered poses elsewhere that will compete with the first after the fine registration."""
+    return [other for other in _elsewhere(roughly) if is_surely_ambiguous([roughly[0], other], config)]
+
+
+def _elsewhere(roughly: Sequence[Registration]) -> list[Registration]:
+    """Select the poses that the fine registration does not bring together with the first."""
     best, *others = roughly
-    return [
-        other
-        for other in others
-        if is_distinct(other.T_target_source, [best.T_target_source], *_ELSEWHERE)
-        and is_surely_ambiguous([best, other], config)
-    ]
+    return [other for other in others if is_distinct(other.T_target_source, [best.T_target_source], *_ELSEWHERE)]
 
 
 def may_compete(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
