@@ -2,6 +2,7 @@
 """Verdicts on registrations: the log-odds that a pose is true, alone and against its competitors."""
 
 from collections.abc import Sequence
+from functools import reduce
 from math import log, log1p
 
 import numpy as np
@@ -101,6 +102,15 @@ def is_surely_ambiguous(roughly: Sequence[Registration], config: AcceptanceConfi
 def surely_competing(roughly: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
     """Select the roughly registered poses elsewhere that will compete with the first after the fine registration."""
     return [other for other in _elsewhere(roughly) if is_surely_ambiguous([roughly[0], other], config)]
+
+
+def likeliest_first(found: Sequence[Registration]) -> list[Registration]:
+    """Order the poses of a pair by evidence, but put the one that leads all others first, if there is one."""
+    ranked = sorted(found, key=lambda each: -each.evidence)
+    if not ranked:
+        return ranked
+    best = reduce(lambda known, other: other if known.lead_over(other) < 0.0 else known, ranked)
+    return [best, *(each for each in ranked if each is not best)]
 
 
 def _elsewhere(roughly: Sequence[Registration]) -> list[Registration]:

@@ -63,7 +63,8 @@ def _turned(
                 if not is_near(there, config.max_baseline_m) or not is_distinct(there, [pose]):
                     continue
                 competing = score_pose(there)
-                lead, is_turn = pair.registrations[0].lead_over(competing), pose.distance_to(there)[1] >= _TURNED_RAD
+                lead = pair.registrations[0].rough_lead_over(competing)
+                is_turn = pose.distance_to(there)[1] >= _TURNED_RAD
                 if is_turn and (lead < margin or _is_possible(competing, symmetry, score_turned, margin)):
                     return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
                 if lead < margin and not _is_confirmed(pair, pairs):
@@ -252,8 +253,8 @@ def _repeated(
         if not is_near(implied, config.max_baseline_m):
             continue
         competing = score_pose(implied)
-        lead = score_pose(pose).lead_over(competing)
-        lead += score_pose(by_pair).lead_over(score_pose(other.T_target_source))
+        lead = score_pose(pose).rough_lead_over(competing)
+        lead += score_pose(by_pair).rough_lead_over(score_pose(other.T_target_source))
         if lead < config.min_log_odds_margin:
             return _repetition(pair, competing, known, lead, config)
     return None
@@ -295,7 +296,7 @@ def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePo
     """Return whether the implied pose is one of the pair's own, or scores as well."""
     best, *_ = pair.registrations
     own = [each.T_target_source for each in (best, *competing_poses(pair.registrations, config))]
-    return not is_distinct(implied, own) or best.lead_over(score_pose(implied)) < config.min_log_odds_margin
+    return not is_distinct(implied, own) or best.rough_lead_over(score_pose(implied)) < config.min_log_odds_margin
 
 
 def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegistration) -> Reason:

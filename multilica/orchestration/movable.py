@@ -95,10 +95,10 @@ def _repetition_of(
     if len(own) != 1 or len(own[0].registrations) < 2:
         return None
     pair, (best, *others) = own[0], own[0].registrations
-    other = min(others, key=best.lead_over)
+    other = min(others, key=best.rough_lead_over)
     if not any(each.derivation.startswith(REPEATED) for each in (best, other)):
         return None
-    if best.lead_over(other) > _SURE_LEAD * config.acceptance.min_log_odds_margin:
+    if best.rough_lead_over(other) > _SURE_LEAD * config.acceptance.min_log_odds_margin:
         return None
     there = other.T_target_source.with_target(pair.target)
     pose = poses[pair.target] @ there if name == pair.source else poses[pair.source] @ there.inverse()

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.acceptance.accept import accept, accept_by_fitness, may_be_accepted
+from multilica.acceptance.accept import accept, accept_by_fitness, is_surely_ambiguous, may_be_accepted
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
@@ -215,6 +215,7 @@ def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: Pre
         return
     name, views = target.side.cloud.name, (target.verification_cloud, source.verification_cloud)
     led = not is_distinct(search.verified[0].T_target_source, [registration.T_target_source.with_target(name)])
+    led = led and not is_surely_ambiguous(search.verified, config.acceptance)
     if led and not views[0].view.at_stop:
         return
     further = find_poses_beside(*views, registration, config, led=led)
@@ -255,7 +256,7 @@ def lead_along_slide(lidars: Shared, found: Registration) -> tuple[float, float]
     known = score_roughly(lidars, pose)
     ways_m = np.arange(_NEXT_PLACE_M, _LONGEST_SLIDE_M, _SCORED_STEP_M)
     leads = (
-        (known.lead_over(score_roughly(lidars, moved(pose, np.zeros(3), way_m * direction))), float(abs(way_m)))
+        (known.rough_lead_over(score_roughly(lidars, moved(pose, np.zeros(3), way_m * direction))), float(abs(way_m)))
         for way_m in (*ways_m, *-ways_m)
     )
     return min(leads)
@@ -275,7 +276,7 @@ def lead_over_shifts(lidars: Shared, found: Registration) -> float:
     if shifted is None:
         return -math.inf
     known = score_roughly(lidars, pose)
-    return min((known.lead_over(score_roughly(lidars, each)) for each in shifted), default=math.inf)
+    return min((known.rough_lead_over(score_roughly(lidars, each)) for each in shifted), default=math.inf)
 
 
 def register_sides(

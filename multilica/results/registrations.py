@@ -13,6 +13,9 @@ from multilica.results.hypotheses import Hypothesis, IndexArray, hypothesis_labe
 from multilica.results.values import Figure, Number, not_in_document
 from multilica.results.visibility_score import VisibilityScore
 
+# Poses that a slide or a repetition leads to have the same attitude.
+_SAME_ATTITUDE_RAD = float(np.deg2rad(5.0))
+
 
 @dataclass(frozen=True, slots=True)
 class Stability:
@@ -78,11 +81,27 @@ class Registration:
         return bool(self.derivation) and self.hypothesis >= 0
 
     def lead_over(self, other: "Registration") -> float:
-        """Return the log-odds that this pose is the true one and not another pose of the pair."""
+        """Return the log-odds that this pose is the true one and not another registered pose of the pair."""
         return self.evidence - other.evidence_beside(self)
 
+    def rough_lead_over(self, other: "Registration") -> float:
+        """Return the same for a pose that is some decimetres from where it would fit best."""
+        return self.evidence - other.rough_evidence_beside(self)
+
     def evidence_beside(self, best: "Registration") -> float:
-        """Return the evidence as it compares with that of another pose; see `VisibilityScore.evidence_beside`."""
+        """Return the evidence as it compares with that of another registered pose.
+
+        See `VisibilityScore.evidence_beside`, and `VisibilityScore.lead_along` for poses of the same attitude.
+        """
+        evidence = self.rough_evidence_beside(best)
+        shift_m = self.T_target_source.xyz_m - best.T_target_source.xyz_m
+        metres, radians = best.T_target_source.distance_to(self.T_target_source)
+        if metres == 0.0 or radians > _SAME_ATTITUDE_RAD:
+            return evidence
+        return round(evidence - best.visibility.lead_along(self.visibility, shift_m / metres), 6) + 0.0
+
+    def rough_evidence_beside(self, best: "Registration") -> float:
+        """Return the same for a pose that is some decimetres from where it would fit best."""
         return self.visibility.evidence_beside(best.visibility, float(np.linalg.norm(self.T_target_source.xyz_m)))
 
     def as_hypothesis(self, best: "Registration") -> Hypothesis:

@@ -37,6 +37,12 @@ MOVED_POINTS = 4
 """Points in empty space that one person causes who moved between the scans: 1.7 m by 0.5 m in patches of 0.5 m. So few
 never decide between two poses."""
 
+FACING_WEIGHT = 2.8
+"""Weight of the logarithm of the number of points that face a shift and agree at one of two poses only."""
+
+FACING_POINTS = 8
+"""Prior count of these points: the rear of one car, in patches of 0.5 m, which may have moved between the scans."""
+
 FEW_POINTS = 10
 """Prior count of agreeing structure points, so that a few hidden points in an open field change little."""
 
@@ -72,6 +78,8 @@ class VisibilityScore:
         target_labels: (M,) `BeamLabel` of each probe of the target, by the source's beams.
         violating: (K,) which of all labelled points are in empty space, of all members of both sides, in the same order
             for each pose; empty where unknown.
+        agreeing: (A,) numbers of those labelled points that agree and whose neighbours span a surface.
+        agreeing_normals: (A, 3) their unit normals along the target's axes.
         between_stops: whether the vehicle has driven on between the measurements of both sides.
     """
 
@@ -86,6 +94,8 @@ class VisibilityScore:
     structure_occluded: int = 0
     target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
     violating: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    agreeing: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    agreeing_normals: npt.NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
     between_stops: bool = False
 
     @property
@@ -130,6 +140,18 @@ class VisibilityScore:
             return self.contradiction - other.contradiction
         own = np.count_nonzero(self.violating & ~other.violating) + MOVED_POINTS
         return VIOLATION_WEIGHT * log(own / (np.count_nonzero(other.violating & ~self.violating) + MOVED_POINTS))
+
+    def lead_along(self, other: "VisibilityScore", direction: FloatArray) -> float:
+        """Return the log-odds that points facing a shift add to this pose against another of the same pair.
+
+        Walls and rails along a road agree wherever the pose slides to. Posts, signs and ends of walls face the road.
+        They agree at the true pose, and at others only where they repeat.
+
+        Args:
+            direction: (3,) unit vector of the shift between both poses, along the target's axes.
+        """
+        own, others = _facing_only_at(self, other, direction), _facing_only_at(other, self, direction)
+        return FACING_WEIGHT * log((own + FACING_POINTS) / (others + FACING_POINTS))
 
     def evidence(self, distance_m: float) -> float:
         """Return the log-odds that the pose is the true one; poses rank by it.
@@ -183,3 +205,14 @@ class VisibilityScore:
     def violation_share(self) -> float:
         """Violations as a share of the points that agree or violate."""
         return self.violate / max(1, self.agree + self.violate)
+
+
+def _facing_only_at(score: VisibilityScore, other: VisibilityScore, direction: FloatArray) -> float:
+    """Sum the squared cosines between a direction and the normals that agree at one pose and not at the other."""
+    points = len(score.violating)
+    if points == 0 or points != len(other.violating):
+        return 0.0
+    agrees_there = np.zeros(points, dtype=bool)
+    agrees_there[other.agreeing] = True
+    cosines = score.agreeing_normals[~agrees_there[score.agreeing]] @ direction.astype(np.float32)
+    return float(cosines @ cosines)

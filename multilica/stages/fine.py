@@ -12,6 +12,7 @@ from multilica.acceptance.accept import (
     cannot_be_accepted,
     competing_poses,
     is_well_constrained,
+    likeliest_first,
     min_competing_evidence,
     slides,
     surely_competing,
@@ -131,8 +132,9 @@ def register_best(
     direction, max_baseline_m = found.visibility.slide_direction, config.acceptance.max_baseline_m
     starts = slid_hypotheses(_start_of(found), direction, max_baseline_m)
     beside = pair.register_thinned(starts, beside=[*registered, best])
-    if any(each.evidence > best.evidence for each in beside):
-        return max(best, pair.best_of([*registered, *beside], thinned=True), key=lambda each: each.evidence)
+    if any(found.lead_over(each.registrations[0]) < 0.0 for each in beside):
+        other = pair.best_of([*registered, *beside], thinned=True)
+        return other if found.lead_over(other.registrations[0]) < 0.0 else best
     return best
 
 
@@ -270,7 +272,7 @@ class _Pair:
         """
         acceptance = self.config.acceptance
         found = within_baseline([each.registrations[0] for each in registered], acceptance.max_baseline_m)
-        best, *others = sorted(found, key=lambda each: -each.evidence)
+        best, *others = likeliest_first(found)
         result = next(each for each in registered if each.registrations[0] is best)
         if thinned and self._is_surely_undecided(registered):
             return replace(result, registrations=(best, *others))
@@ -294,7 +296,7 @@ class _Pair:
         """Return whether so many poses compete with the best of these that no further registration would decide."""
         acceptance = self.config.acceptance
         found = within_baseline([each.registrations[0] for each in roughly], acceptance.max_baseline_m)
-        return len(surely_competing(sorted(found, key=lambda each: -each.evidence), acceptance)) >= _SLIDE_POSES
+        return len(surely_competing(likeliest_first(found), acceptance)) >= _SLIDE_POSES
 
     def _first_that_holds(self, ranked: Sequence[Registration]) -> PairRegistration:
         """Register poses on all points, up to the first that has enough evidence there too; else return the first."""

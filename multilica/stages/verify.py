@@ -12,6 +12,7 @@ from multilica.acceptance.accept import (
     is_in_long_place,
     is_surely_ambiguous,
     is_well_constrained,
+    likeliest_first,
     min_competing_evidence,
 )
 from multilica.config import CalibrationConfig, FineConfig
@@ -104,16 +105,12 @@ def verify_hypotheses(
         if not cannot_be_accepted(each.evidence, config.acceptance)
     ):
         return ()
-    for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
-        found = _with_competing(target, source, found, hypothesis, settings, config)
-    best = next(iter(_ranked(found, config)), None)
-    if best is None or cannot_be_accepted(best.evidence, config.acceptance) or target.view.at_stop:
-        return tuple(_ranked(found, config))
-    for hypothesis in _far_slides(best, config):
-        if is_surely_ambiguous(_ranked(found, config), config.acceptance):
-            break
-        found = _with_competing(target, source, found, hypothesis, gicp, config)
-    return tuple(_ranked(found, config))
+    ranked = _ranked(found, config)
+    for hypothesis, settings in _competing_hypotheses(target.view, source.view, ranked, gicp, config):
+        ranked = _with_competing(target, source, ranked, hypothesis, settings, config)
+    if not ranked or cannot_be_accepted(ranked[0].evidence, config.acceptance) or target.view.at_stop:
+        return tuple(ranked)
+    return tuple(_up_to_a_competitor(target, source, ranked, _with(gicp, _far_slides(ranked[0], config)), config))
 
 
 def find_poses_beside(
@@ -144,13 +141,35 @@ def find_poses_beside(
     score = score_visibility(target.view.alone, source.view.alone, best.T_target_source, *ROUGH_TOLERANCES)
     known = [replace(best, visibility=score), *others]
     gicp = short_gicp(config.fine)
-    beside = [] if led else _competing_hypotheses(target.view, source.view, known[:1], gicp, config)
-    found = known
-    for hypothesis, settings in (*beside, *((each, gicp) for each in _far_slides(known[0], config))):
-        if not led and is_surely_ambiguous(_ranked(found, config), config.acceptance):
+    slides, ranked = _with(gicp, _far_slides(known[0], config)), _ranked(known, config)
+    if led:
+        for hypothesis, settings in slides:
+            ranked = _with_competing(target, source, ranked, hypothesis, settings, config)
+    else:
+        beside = _competing_hypotheses(target.view, source.view, known[:1], gicp, config)
+        ranked = _up_to_a_competitor(target, source, ranked, [*beside, *slides], config)
+    return [each for each in ranked if all(each is not other for other in known)]
+
+
+def _up_to_a_competitor(
+    target: VerificationCloud,
+    source: VerificationCloud,
+    ranked: list[Registration],
+    hypotheses: Sequence[tuple[Hypothesis, FineConfig]],
+    config: CalibrationConfig,
+) -> list[Registration]:
+    """Add hypotheses as `_with_competing` does, until one surely competes with the best pose."""
+    tested = None
+    for hypothesis, settings in hypotheses:
+        if ranked is not tested and is_surely_ambiguous(ranked, config.acceptance):
             break
-        found = _with_competing(target, source, found, hypothesis, settings, config)
-    return [each for each in _ranked(found, config) if all(each is not other for other in known)]
+        tested = ranked
+        ranked = _with_competing(target, source, ranked, hypothesis, settings, config)
+    return ranked
+
+
+def _with(gicp: FineConfig, hypotheses: Sequence[Hypothesis]) -> list[tuple[Hypothesis, FineConfig]]:
+    return [(each, gicp) for each in hypotheses]
 
 
 def _registered_in_turn(
@@ -178,26 +197,25 @@ def _registered_in_turn(
 
 
 def _ranked(found: Sequence[Registration], config: CalibrationConfig) -> list[Registration]:
-    return sorted(within_baseline(found, config.acceptance.max_baseline_m), key=lambda each: -each.evidence)
+    return likeliest_first(within_baseline(found, config.acceptance.max_baseline_m))
 
 
 def _with_competing(
     target: VerificationCloud,
     source: VerificationCloud,
-    found: list[Registration],
+    ranked: list[Registration],
     hypothesis: Hypothesis,
     gicp: FineConfig,
     config: CalibrationConfig,
 ) -> list[Registration]:
-    """Register a hypothesis that is new and may compete with the best pose, and add it."""
-    pose = hypothesis.T_target_source
-    if not is_distinct(pose, (other.T_target_source for other in found)):
-        return found
-    best = _ranked(found, config)[0]
+    """Register a hypothesis that is new and may compete with the best pose, the first one, and add it."""
+    pose, best = hypothesis.T_target_source, ranked[0]
+    if not is_distinct(pose, (other.T_target_source for other in ranked)):
+        return ranked
     least = min_competing_evidence(best.evidence, config.acceptance)
     if not may_compete(target.view, source.view, pose, best, least, *COMPETING_TOLERANCES):
-        return found
-    return _joined(found, _register(target, source, hypothesis, gicp))
+        return ranked
+    return _ranked(_joined(ranked, _register(target, source, hypothesis, gicp)), config)
 
 
 def _promising(
@@ -239,7 +257,7 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
 
 
 def _competing_hypotheses(
-    target: SensorView, source: SensorView, known: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
+    target: SensorView, source: SensorView, ranked: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
 ) -> list[tuple[Hypothesis, FineConfig]]:
     """Return poses that may score as well as the best, with their GICP: turned, repeated, or slid.
 
@@ -251,9 +269,9 @@ def _competing_hypotheses(
     """
     acceptance = config.acceptance
     max_baseline_m = acceptance.max_baseline_m
-    best = next(iter(_ranked(known, config)), None)
-    if best is None:
+    if not ranked:
         return []
+    best = ranked[0]
     uncontradicted = best.evidence + best.visibility.contradiction
     if cannot_be_accepted(uncontradicted, acceptance) and best.origin != PRIOR:
         return []
@@ -261,8 +279,8 @@ def _competing_hypotheses(
     start = _start_of(best)
     alike = alike_hypotheses(target.alone, source.alone, start, max_baseline_m, _MAX_SYMMETRIC_POSES)
     return [
-        *((each, near) for each in alike),
-        *((each, gicp) for each in _slides(best, _NEAR_SLIDE_M, config)),
+        *_with(near, alike),
+        *_with(gicp, _slides(best, _NEAR_SLIDE_M, config)),
     ]
 
 

@@ -137,6 +137,8 @@ def score_visibility(
             shown = (forth, back) if shown is None else shown
     all_labels = np.concatenate([probes.labels for probes in labelled])
     counts = _counts(all_labels)
+    normals = np.concatenate([probes.T_root_view.rotate(probes.view.normals) for probes in labelled])
+    agreeing = np.flatnonzero((all_labels == BeamLabel.AGREE) & normals.any(axis=1))
     information = sum((_information(probes, T_target_source.xyz_m) for probes in labelled), start=np.zeros((6, 6)))
     commonest = np.linalg.eigh(information[3:, 3:])[1][:, -1]
     structure = _counts(np.concatenate([_structure(probes, commonest) for probes in labelled]))
@@ -154,6 +156,8 @@ def score_visibility(
         structure_occluded=structure[BeamLabel.OCCLUDED],
         target_labels=target_labels,
         violating=all_labels == BeamLabel.VIOLATE,
+        agreeing=agreeing.astype(np.int32),
+        agreeing_normals=normals[agreeing].astype(np.float32),
         between_stops=any(view.at_stop for _, view in (*targets, *sources)),
     )
 

@@ -14,6 +14,8 @@ from multilica.results import Registration
 from multilica.results.visibility_score import (
     DISTANCE_WEIGHT,
     DISTINCTIVE_WEIGHT,
+    FACING_POINTS,
+    FACING_WEIGHT,
     FEW_POINTS,
     HIDDEN_WEIGHT,
     MOVED_POINTS,
@@ -29,6 +31,10 @@ from tests.unit.made_pairs import pose
 def _score(agree=1000, on_the_main_plane=600.0, violate=0, **structure):
     information = np.diag([0.0, 0.0, 0.0, on_the_main_plane, 0.0, 0.0])
     return VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), **structure)
+
+
+def _registration(at, score):
+    return Registration(0, at, score, 0.8, 0.03, 5.0, np.zeros((0, 3)))
 
 
 def test_the_evidence_is_the_weighted_sum_of_four_logarithms():
@@ -89,10 +95,7 @@ def test_stray_points_in_empty_space_cost_nothing():
 
 
 def test_the_evidence_of_a_registration_counts_its_distance():
-    near, far = (
-        Registration(0, pose("t", "s", xyz_m), _score(), 0.9, 0.03, 1.0, np.zeros((0, 3)))
-        for xyz_m in ((0.6, 0.0, 0.8), (6.0, 0.0, 8.0))
-    )
+    near, far = (_registration(pose("t", "s", xyz_m), _score()) for xyz_m in ((0.6, 0.0, 0.8), (6.0, 0.0, 8.0)))
     assert near.evidence == _score().evidence(1.0)
     assert far.evidence == _score().evidence(10.0)
     assert replace(near, visibility=_score(violate=50)).evidence < near.evidence
@@ -159,3 +162,49 @@ def test_without_labels_only_the_counts_are_compared(other):
     score = _violating(*range(9))
     assert score.contradiction_against(other) == score.contradiction - other.contradiction
     assert other.evidence_beside(score, 2.0) == other.evidence(2.0)
+
+
+_ALONG_X, _NOTHING = (1.0, 0.0, 0.0), None
+
+
+def _facing(*normals):
+    """Make a score with twelve labelled points for each normal; None: these do not agree."""
+    of_points = [normal for normal in normals for _ in range(12)]
+    agreeing = [number for number, normal in enumerate(of_points) if normal is not None]
+    return _score(
+        violating=np.zeros(len(of_points), dtype=bool),
+        agreeing=np.array(agreeing, dtype=np.int32),
+        agreeing_normals=np.array([of_points[number] for number in agreeing], dtype=np.float32).reshape(-1, 3),
+    )
+
+
+def test_facing_points_that_agree_at_one_pose_only_decide():
+    true, slid = _facing(_ALONG_X, (0, 1, 0), _ALONG_X), _facing(_NOTHING, _NOTHING, _ALONG_X)
+    lead = true.lead_along(slid, np.array([1.0, 0.0, 0.0]))
+    assert lead == pytest.approx(FACING_WEIGHT * log((12 + FACING_POINTS) / FACING_POINTS))
+    assert slid.lead_along(true, np.array([-1.0, 0.0, 0.0])) == pytest.approx(-lead)
+
+
+def test_a_wall_along_the_shift_tells_nothing():
+    assert _facing((0, 1, 0)).lead_along(_facing(_NOTHING), np.array([1.0, 0.0, 0.0])) == 0.0
+
+
+def test_points_that_are_not_known_to_be_the_same_tell_nothing():
+    assert _facing(_ALONG_X).lead_along(_score(), np.array([1.0, 0.0, 0.0])) == 0.0
+    assert _score().lead_along(_score(), np.array([1.0, 0.0, 0.0])) == 0.0
+
+
+@pytest.mark.parametrize(("turn_rad", "tells"), [(0.0, True), (0.05, True), (0.1, False), (np.pi, False)])
+def test_facing_points_compare_poses_of_the_same_attitude(turn_rad, tells):
+    score, slid = _facing(_ALONG_X), _facing(_NOTHING)
+    best = _registration(pose("t", "s", (1.0, 0.0, 0.0)), score)
+    other = _registration(pose("t", "s", (4.0, 0.0, 0.0), turn_rad), slid)
+    added = score.lead_along(slid, np.array([1.0, 0.0, 0.0])) if tells else 0.0
+    assert added > 1.0 or not tells
+    assert best.lead_over(other) == pytest.approx(best.rough_lead_over(other) + added)
+    assert other.lead_over(best) == pytest.approx(-best.lead_over(other), abs=1e-5)
+
+
+def test_a_pose_does_not_lead_itself():
+    same = _registration(pose("t", "s", (1.0, 0.0, 0.0)), _facing(_ALONG_X))
+    assert same.lead_over(same) == 0.0

@@ -78,7 +78,8 @@ def test_swapping_the_sides_changes_no_count(target, source):
 def test_a_pose_competes_if_its_evidence_is_enough(target, source, shift_m, margin):
     shifted = RigidTransform.from_xyz_rpy("t", "t", (shift_m, 0.0, 0.0), (0, 0, 0)) @ _TRUTH
     best = score_pose(target, source, _TRUTH, *FINE_TOLERANCES)
-    least = score_pose(target, source, shifted, *FINE_TOLERANCES).evidence_beside(best) - margin
+    competing = score_pose(target, source, shifted, *FINE_TOLERANCES)
+    least = best.evidence - best.rough_lead_over(competing) - margin
     assert may_compete(target, source, shifted, best, least, *FINE_TOLERANCES) == (margin > 0)
     assert not may_compete(target, source, shifted, best, least + 100.0, *FINE_TOLERANCES)
 
@@ -205,6 +206,15 @@ def test_information_is_the_lift_of_points_by_small_motions(target, source):
         lifted_m = np.einsum("ij,ij->i", moved.apply(arms) - arms, normals)
         scaled = motion * np.repeat([LEVER_ARM_M, 1.0], 3)
         assert scaled @ score.information @ scaled == pytest.approx(np.sum(lifted_m**2), rel=0.01)
+
+
+def test_normals_of_agreeing_points_are_in_the_target_frame(target, source):
+    score = _score(target, source)
+    labels = np.concatenate([score.labels, score.target_labels])
+    normals = np.concatenate([_TRUTH.rotate(source.normals), target.normals])
+    spanned = np.concatenate([source.spanned, target.spanned])
+    assert score.agreeing.tolist() == np.flatnonzero((labels == BeamLabel.AGREE) & spanned).tolist()
+    assert score.agreeing_normals == pytest.approx(normals[score.agreeing], abs=1e-6)
 
 
 def test_a_pickled_view_scores_the_same(target, source):
