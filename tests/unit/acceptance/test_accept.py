@@ -10,6 +10,7 @@ from multilica.acceptance.accept import (
     cannot_be_accepted,
     competing_poses,
     is_well_constrained,
+    likeliest_first,
     may_be_accepted,
     min_competing_evidence,
 )
@@ -330,3 +331,31 @@ def test_without_verification_the_fitness_decides(fitness, outcome):
         assert verdict.codes == ("low_fitness",)
         assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (fitness, 0.2)
         assert f"fitness {fitness:.3f} is not above 0.2" in verdict.reasons[0].text
+
+
+def _facing(at, facing, distinctive):
+    """Make a registration with so many points that face the x axis and agree nowhere else."""
+    found = _registration(at, distinctive=distinctive)
+    score = replace(
+        found.visibility,
+        violating=np.zeros(100, dtype=bool),
+        agreeing=np.arange(facing, dtype=np.int32),
+        agreeing_normals=np.tile(np.float32([1.0, 0.0, 0.0]), (facing, 1)),
+    )
+    return replace(found, visibility=score)
+
+
+def test_the_pose_that_leads_all_others_is_the_first():
+    slid = [_facing(pose("t", "s", (x_m, 0.0, 0.0)), 1, count) for x_m, count in ((4.0, 900), (5.0, 850), (6.0, 800))]
+    true = _facing(pose("t", "s", (7.0, 0.0, 0.0)), 50, 700)
+    for found in ([*slid, true], [true, *slid], [slid[2], true, slid[0], slid[1]]):
+        assert likeliest_first(found) == [true, *slid]
+    assert likeliest_first(slid[::-1]) == slid
+    assert likeliest_first([]) == []
+
+
+def test_a_pose_that_leads_by_facing_points_is_accepted():
+    slid, true = _facing(pose("t", "s", (4.0, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (7.0, 0.0, 0.0)), 80, 700)
+    assert _accept(*likeliest_first([slid, true])).accepted
+    few = _facing(pose("t", "s", (7.0, 0.0, 0.0)), 6, 700)
+    assert _accept(*likeliest_first([slid, few])).outcome == "undecided"

@@ -147,6 +147,14 @@ def test_a_pose_that_did_not_lead_is_registered_beside_its_own(lidars, monkeypat
     assert len(found.registration.registrations) == 2
 
 
+def test_a_winner_among_competitors_is_registered_beside_its_own(lidars, monkeypatch):
+    """The verification stopped at a competitor, so that poses farther along a slide were not tested."""
+    asked = _asked_for_poses_beside(monkeypatch)
+    monkeypatch.setattr(pairs, "is_surely_ambiguous", lambda verified, _config: bool(verified))
+    assert len(_search(lidars).registration.registrations) == 2
+    assert [led for _, led in asked] == [False]
+
+
 def _recording(register, registered):
     def one(target, source, hypotheses, config, **options):
         registered.append(hypotheses)
