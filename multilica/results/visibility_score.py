@@ -95,7 +95,7 @@ class VisibilityScore:
     target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
     violating: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     agreeing: npt.NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    agreeing_normals: npt.NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
+    agreeing_normals: npt.NDArray[np.float16] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float16))
     between_stops: bool = False
 
     @property
@@ -214,5 +214,5 @@ def _facing_only_at(score: VisibilityScore, other: VisibilityScore, direction: F
         return 0.0
     agrees_there = np.zeros(points, dtype=bool)
     agrees_there[other.agreeing] = True
-    cosines = score.agreeing_normals[~agrees_there[score.agreeing]] @ direction.astype(np.float32)
-    return float(cosines @ cosines)
+    cosines = score.agreeing_normals.astype(np.float32) @ direction.astype(np.float32)
+    return float(np.square(cosines) @ (~agrees_there[score.agreeing]).astype(np.float32))

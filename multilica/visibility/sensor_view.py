@@ -157,7 +157,7 @@ def score_visibility(
         target_labels=target_labels,
         violating=all_labels == BeamLabel.VIOLATE,
         agreeing=agreeing.astype(np.int32),
-        agreeing_normals=normals[agreeing].astype(np.float32),
+        agreeing_normals=normals[agreeing].astype(np.float16),
         between_stops=any(view.at_stop for _, view in (*targets, *sources)),
     )
 

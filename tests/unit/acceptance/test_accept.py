@@ -340,7 +340,7 @@ def _facing(at, facing, distinctive):
         found.visibility,
         violating=np.zeros(100, dtype=bool),
         agreeing=np.arange(facing, dtype=np.int32),
-        agreeing_normals=np.tile(np.float32([1.0, 0.0, 0.0]), (facing, 1)),
+        agreeing_normals=np.tile(np.float16([1.0, 0.0, 0.0]), (facing, 1)),
     )
     return replace(found, visibility=score)
 

@@ -174,7 +174,7 @@ def _facing(*normals):
     return _score(
         violating=np.zeros(len(of_points), dtype=bool),
         agreeing=np.array(agreeing, dtype=np.int32),
-        agreeing_normals=np.array([of_points[number] for number in agreeing], dtype=np.float32).reshape(-1, 3),
+        agreeing_normals=np.array([of_points[number] for number in agreeing], dtype=np.float16).reshape(-1, 3),
     )
 
 
