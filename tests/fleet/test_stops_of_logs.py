@@ -50,6 +50,7 @@ def row_of(log: Snapshot, folder: Path, known: Extrinsics | None = None) -> tupl
     return run_log_task(request(folder, "drive.mcap", config=CONFIG, reference=reference)), store
 
 
+@pytest.mark.in_turn
 def test_a_calibration_has_all_stops_of_a_log(drive: SimulatedDrive, tmp_path: Path) -> None:
     row, store = row_of(log_of_stops(drive), tmp_path)
     assert (row.state, row.placed) == ("calibrated", 3)

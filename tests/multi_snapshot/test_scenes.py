@@ -68,6 +68,7 @@ def test_two_scenes_are_no_worse_than_each_alone():
     assert [report.outliers for report in joint.snapshots] == [(), ()]
 
 
+@pytest.mark.in_turn
 def test_turned_lidar_is_outvoted_by_two_refused_by_one():
     bad = _run("parking", tampered=True)
     joint = join([_run("garage"), bad, _run("parking")], _CONFIG)
@@ -81,6 +82,7 @@ def test_turned_lidar_is_outvoted_by_two_refused_by_one():
     assert "garage and parking tampered place it" in refused["left"].reason
 
 
+@pytest.mark.in_turn
 def test_joint_result_is_replayed_with_its_best_snapshot(tmp_path):
     missing = replace(_run("garage").result, placements=(*_run("garage").result.placements, _placement("rear")))
     runs = [_run("parking", tampered=True), _run("garage"), replace(_run("parking"), result=missing)]

@@ -87,6 +87,7 @@ def test_a_fit_that_alone_ends_elsewhere_is_left_out(lidars, monkeypatch):
     assert [(pair.target, pair.source) for pair in found] == [("a", "c")]
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_a_merge_whose_target_joins_counts_as_its_members():
     """The group of the target LiDAR is the source of its merge here."""

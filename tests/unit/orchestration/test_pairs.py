@@ -109,6 +109,7 @@ def _asked_for_poses_beside(monkeypatch):
     return asked
 
 
+@pytest.mark.slow
 def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
     """A made one, as likely as the pose itself, makes that undecided."""
     asked = _asked_for_poses_beside(monkeypatch)
