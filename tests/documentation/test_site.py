@@ -69,6 +69,7 @@ def test_pages_ask_no_host_and_fit_the_screen(site: Path, browser: Browser, widt
         assert any(url.endswith("site.css") for url in (each.partition("?")[0] for each in asked))
 
 
+@pytest.mark.in_turn
 def test_commands_and_tables_show_whole_beside_the_pages(site: Path, browser: Browser) -> None:
     with browser.new_context(viewport={"width": 1300, "height": 900}) as context:
         page = context.new_page()

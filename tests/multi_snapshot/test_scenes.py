@@ -57,6 +57,7 @@ def _error_m(result):
     return float(np.hypot(metres, _LEVER_ARM_M * radians))
 
 
+@pytest.mark.in_turn
 def test_two_scenes_are_no_worse_than_each_alone():
     runs = [_run("garage"), _run("parking")]
     joint = join(runs, _CONFIG)

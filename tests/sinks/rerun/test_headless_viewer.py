@@ -146,6 +146,7 @@ def test_no_view_of_any_tab_complains(viewer, recordings, outcome, first, timeli
     assert {"Coarse + verify", "rear <- top", "Merge", "Log"} <= set(shown)
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     ("outcome", "timeline"),
     [

@@ -196,6 +196,7 @@ def test_normals_that_are_mostly_noise_constrain_nothing():
         assert sigma_m[2] < 0.01
 
 
+@pytest.mark.in_turn
 @pytest.mark.slow
 def test_the_truth_lies_as_far_off_as_the_covariance_says():
     """Over many rooms the squared normalised error is about the six degrees of freedom."""
