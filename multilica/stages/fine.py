@@ -92,11 +92,11 @@ def register_best(
     fit: bool = True,
     is_known: bool = False,
 ) -> PairRegistration:
-    """Register the finalists by GICP, and the one with the most evidence on all points.
+    """Register the finalists by GICP, and the likeliest one on all points.
 
     The result of GICP is fitted to the planes that both sides share. If a pose slides, GICP may have missed a
     constrained pose that it finds from one side only. GICP is therefore started at steps along the slide, and the
-    result with the most evidence is taken. A pose that stopped before a constrained one is moved there.
+    likeliest result is taken. A pose that stopped before a constrained one is moved there.
 
     Args:
         hypotheses: at least one, the most promising first.
@@ -263,7 +263,7 @@ class _Pair:
         return self._scored(replace(found, hypothesis=hypothesis.index), hypothesis)
 
     def best_of(self, registered: Sequence[PairRegistration], *, thinned: bool) -> PairRegistration:
-        """Return the one with the most evidence, on all points and with its stability; the others follow it.
+        """Return the likeliest one, on all points and with its stability; the others follow it.
 
         A pose with which others surely compete stays as it is: all points would not decide between them.
 

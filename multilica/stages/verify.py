@@ -94,7 +94,7 @@ def verify_hypotheses(
             and none if all of them were refused before.
 
     Returns:
-        The distinct poses, the one with the most evidence first.
+        The distinct poses, the one that leads all others first, the rest by evidence.
     """
     gicp = short_gicp(config.fine)
     hypotheses = _promising(target, source, coarse.hypotheses, config, even_the_best=refused is not None)
