@@ -88,3 +88,10 @@ def test_poses_near_the_best_may_still_end_there(sides):
     near = replace(found[1], T_target_source=shift @ found[0].T_target_source)
     assert surely_competing(found, _CONFIG.acceptance) == [found[1]]
     assert surely_competing([found[0], near], _CONFIG.acceptance) == []
+
+
+def test_the_pose_that_leads_all_others_is_the_first(sides, monkeypatch):
+    monkeypatch.setattr(fine, "likeliest_first", lambda found: sorted(found, key=lambda each: each.evidence))
+    found = register_best(*sides, _starts(0, -1, -2), _CONFIG).registrations
+    assert len(found) == 3
+    assert found[0].evidence == min(each.evidence for each in found)

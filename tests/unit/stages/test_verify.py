@@ -85,6 +85,14 @@ def test_registrations_are_distinct_and_sorted_by_evidence(hall):
         assert metres > 0.3 or radians > np.deg2rad(3.0)
 
 
+@pytest.mark.usefixtures("all_promising")
+def test_the_pose_that_leads_all_others_is_the_first(hall, monkeypatch):
+    monkeypatch.setattr(verify, "likeliest_first", lambda found: sorted(found, key=lambda each: each.evidence))
+    found = _verified(hall, _near(_TRUTH), _near(_TRUTH, (6.0, 0, 0)), _near(_HALF_TURN))
+    assert len(found) > 1
+    assert found[0].evidence == min(each.evidence for each in found)
+
+
 @pytest.fixture
 def all_promising(monkeypatch):
     """Register every hypothesis, also those that beams contradict as they are."""
