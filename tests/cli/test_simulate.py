@@ -32,6 +32,7 @@ def test_thinning_keeps_every_nth_return(invoke: Invoke) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_drive_lies_beside_its_truth(invoke: Invoke) -> None:
     """The log holds the frames of all stops and of the way, each point with its time."""
     few = ("--stops", "2", "--frames", "2", "--keep-every", "300", "--sensors", "ideal")

@@ -48,6 +48,7 @@ def test_what_was_reached_is_placed(monkeypatch):
     assert all(result[name].T_target_source is None for name in missing)
 
 
+@pytest.mark.in_turn
 def test_a_limit_that_is_not_reached_changes_nothing():
     snapshot = only(sides().snapshot, "left", "right", "top", every=2)
     result, _ = watched(snapshot, base=CONFIG)

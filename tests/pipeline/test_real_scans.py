@@ -26,6 +26,7 @@ def test_both_sides_are_found(result):
 
 
 @pytest.mark.parametrize("seed", some_of([1, 2, 3], 1))
+@pytest.mark.in_turn
 def test_both_sides_are_found_from_any_orientation(clouds, seed):
     rotations = {name: Rotation.random(random_state=seed).as_matrix() for name in SOURCES}
     result = calibrate(turned_snapshot(clouds, rotations), CONFIG)

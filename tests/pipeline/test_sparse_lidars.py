@@ -22,6 +22,7 @@ _RIG = Rig(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("scene", "seed"), [("street", 9313), ("parking", 9301)])
+@pytest.mark.in_turn
 def test_rings_that_meet_turn_no_lidar(monkeypatch, scene, seed):
     """Where rings meet, the front one is placed 45 mm off in the street, and 95 mm in the other scene."""
     monkeypatch.setitem(RIGS, "sparse", _RIG)

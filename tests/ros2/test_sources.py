@@ -30,6 +30,7 @@ def poses(run: Path) -> object:
 
 @NEEDS_ROS2
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_nodes_give_the_poses_of_their_bag(log: Path, invoke: Invoke) -> None:
     options = ("--frames", SCANS, "--workers", 1, "--prior", "tf", "--quiet")
     with running(VEHICLE, log, "once"):

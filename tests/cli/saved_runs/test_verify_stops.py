@@ -34,6 +34,7 @@ def drive() -> SimulatedDrive:
     return simulate_drive("sides", "yard", 4, moved={"top": KNOCK}, moved_from=2, **options)
 
 
+@pytest.mark.in_turn
 def test_a_lidar_that_moved_at_a_later_stop_is_named_with_it(
     drive: SimulatedDrive, invoke: Invoke, tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_a_reader_that_crashes_is_told_in_one_sentence(recordings, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
     rng, whole = np.random.default_rng(0), recordings["partial"].read_bytes()
     refused = 0

@@ -109,6 +109,7 @@ def test_the_scale_of_one_lidar_is_found():
 @pytest.mark.parametrize(
     ("scale", "least", "of_random_errors"), [(0.0, 0.4, (3.0, 9.0)), (1.0, 1.5, (12.0, 60.0))], ids=["ideal", "real"]
 )
+@pytest.mark.in_turn
 def test_the_truth_lies_as_far_off_as_the_covariance_says(scale, least, of_random_errors):
     """Each LiDAR and each ring is off, in range and elevation. Random errors alone explain an ideal LiDAR only."""
     squared, random = [], []
