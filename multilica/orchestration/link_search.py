@@ -5,9 +5,11 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.pairs import (
     PreparedLidar,
     SearchRequest,
@@ -40,6 +42,8 @@ _RETRIES_PER_VIEW = 0.5
 _FAILURES_IF_DETERMINED = 0.5
 # Each link needs another that confirms it. More improve poses that nothing but links tells.
 _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
+# Half of the least turn that a drive needs between two stops.
+_SAME_AXIS = float(np.cos(np.deg2rad(30.0)))
 
 
 @dataclass(slots=True, eq=False)
@@ -224,23 +228,24 @@ class LinkSearch:
         return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
 
     def _doubt_slid(self) -> None:
-        """Leave all links of two LiDARs undecided if a place farther along the way fits one of them better.
+        """Leave links of two LiDARs undecided if a place farther along the way fits one of them better.
 
-        Along a rail with posts, links follow from a wrong one and fit like it, but not always best.
+        Along a rail with posts, links follow from a wrong one and fit like it, but not always best. So all links go
+        that slide the same way on the vehicle. After a turn they slide another way, and would contradict a wrong one.
         """
         between = {pair: link for pair, link in self.links.items() if len(link.registration.lidars) > 1}
         found = [link.registration.registrations[0] for link in between.values()]
         leads = dict(zip(between, self.workers.map(lead_along_slide, found), strict=True))
-        worst: dict[frozenset[str], tuple[float, float]] = {}
-        for pair, link in between.items():
-            worst[link.registration.lidars] = min(leads[pair], worst.get(link.registration.lidars, leads[pair]))
-        for pair, link in between.items():
-            lead, away_m = worst[link.registration.lidars]
-            if lead < 0.0:
-                one, other = sorted(link.registration.lidars)
-                text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"
-                verdict = Verdict("undecided", (Reason("held_by_repetition", lead, 0.0, text),))
-                self.links[pair] = replace(link, registration=replace(link.registration, verdict=verdict))
+        for pair in sorted(between, key=lambda pair: leads[pair]):
+            lead, away_m = leads[pair]
+            if lead >= 0.0:
+                break
+            one, other = sorted(between[pair].registration.lidars)
+            text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"
+            verdict = Verdict("undecided", (Reason("held_by_repetition", lead, 0.0, text),))
+            for also, link in between.items():
+                if self.links[also].counts and _slide_alike(between[pair], link):
+                    self.links[also] = replace(link, registration=replace(link.registration, verdict=verdict))
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
         if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:
@@ -250,6 +255,20 @@ class LinkSearch:
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
         is_weak = found.evidence < self.config.acceptance.min_evidence
         (self.weak if is_weak else self.links)[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _slide_alike(one: ViewPair, other: ViewPair) -> bool:
+    """Return whether two links are of the same LiDARs, and slide along the same axis as seen from each of them."""
+    axes, others = _slide_axes(one), _slide_axes(other)
+    if axes.keys() != others.keys():
+        return False
+    return all(abs(float(axis @ others[lidar])) > _SAME_AXIS for lidar, axis in axes.items())
+
+
+def _slide_axes(link: ViewPair) -> dict[str, FloatArray]:
+    """Return the axis along which a link slides, in the frame of each of its two LiDARs."""
+    axis = link.registration.registrations[0].visibility.slide_direction
+    return {link.target.lidar: axis, link.source.lidar: link.registration.T_target_source.matrix[:3, :3].T @ axis}
 
 
 def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:

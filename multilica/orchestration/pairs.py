@@ -249,17 +249,23 @@ def score_roughly(lidars: Shared, pose: RigidTransform) -> Registration:
 def lead_along_slide(lidars: Shared, found: Registration) -> tuple[float, float]:
     """Compare a pose by beams with those along its weakest direction that are too far away to be the same one.
 
+    The likeliest of them is registered if it seems likelier than the pose: poses some decimetres off compare roughly.
+
     Returns:
-        By how much it is likelier than the likeliest of them, negative if it is less likely, and how far that one is.
+        By how much the pose is likelier than the likeliest of them, negative if it is less likely, and how far that one
+        is.
     """
     pose, direction = found.T_target_source, found.visibility.slide_direction
     known = score_roughly(lidars, pose)
     ways_m = np.arange(_NEXT_PLACE_M, _LONGEST_SLIDE_M, _SCORED_STEP_M)
-    leads = (
-        (known.rough_lead_over(score_roughly(lidars, moved(pose, np.zeros(3), way_m * direction))), float(abs(way_m)))
-        for way_m in (*ways_m, *-ways_m)
-    )
-    return min(leads)
+    shifted = {way_m: moved(pose, np.zeros(3), way_m * direction) for way_m in (*ways_m.tolist(), *(-ways_m).tolist())}
+    lead, way_m = min((known.rough_lead_over(score_roughly(lidars, each)), way_m) for way_m, each in shifted.items())
+    if lead >= 0.0:
+        return lead, abs(way_m)
+    best = register_implied(lidars, Hypothesis(shifted[way_m])).registrations[0]
+    if not is_distinct(best.T_target_source, [pose]):
+        return 0.0, abs(way_m)
+    return found.lead_over(best), best.T_target_source.distance_to(pose)[0]
 
 
 def lead_over_shifts(lidars: Shared, found: Registration) -> float:

@@ -99,18 +99,27 @@ def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
     assert len(searched) == 4
 
 
-@pytest.mark.parametrize(("lead", "outcome"), [(-0.1, "undecided"), (0.1, "accept")])
-def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, outcome):
-    """It doubts all links of these two LiDARs, and none of a LiDAR with itself."""
+@pytest.mark.parametrize(
+    ("lead", "turn_rad", "outcomes"),
+    [
+        (-0.1, 0.0, ("undecided", "undecided")),
+        (-0.1, np.pi, ("undecided", "undecided")),
+        (-0.1, 1.2, ("undecided", "accept")),
+        (0.1, 0.0, ("accept", "accept")),
+    ],
+)
+def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, turn_rad, outcomes):
+    """It doubts the links of these two LiDARs that slide along the same axis, and none of a LiDAR with itself."""
+    worse = ("front at stop 1", "rear at stop 2")
 
     def made(_, request):
-        best = SimpleNamespace(evidence=9.0, pair=request.pair)
+        axis = np.array([1.0, 0.0, 0.0])
+        if request.pair != worse:
+            axis = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
+        best = SimpleNamespace(evidence=9.0, pair=request.pair, visibility=SimpleNamespace(slide_direction=axis))
         pose = RigidTransform.identity(*request.pair)
         found = PairRegistration(*request.pair, pose, 0.9, 0.1, 1, None, None, "", information=np.eye(6))
         return SimpleNamespace(registration=replace(found, registrations=(best,)))
-
-    def along(_, found):
-        return (lead, 4.0) if found.pair == ("front at stop 1", "rear at stop 2") else (2.0, 4.0)
 
     monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
     monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
@@ -118,13 +127,14 @@ def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, outcome):
     monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
     monkeypatch.setattr(link_search, "next_round", lambda _, __, tried, priority: [] if tried else [*priority])
     monkeypatch.setattr(link_search, "search_pair", made)
-    monkeypatch.setattr(link_search, "lead_along_slide", along)
+    monkeypatch.setattr(link_search, "lead_along_slide", lambda _, found: (lead if found.pair == worse else 2.0, 4.0))
     found = links.search_links(_STOPS, CalibrationConfig(), Workers()).links
     assert len(found) == 4
+    expected = dict(zip((worse, ("rear at stop 1", "front at stop 2")), outcomes, strict=True))
     for link in found:
-        expected = outcome if len(link.registration.lidars) > 1 else "accept"
-        assert link.registration.verdict.outcome == expected
-        assert link.counts == (expected == "accept")
+        outcome = expected.get((link.target.label, link.source.label), "accept")
+        assert link.registration.verdict.outcome == outcome
+        assert link.counts == (outcome == "accept")
 
 
 def test_motions_tell_where_links_between_stops_are(monkeypatch):

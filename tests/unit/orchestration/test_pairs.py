@@ -174,11 +174,25 @@ def test_an_implied_pose_is_scored_and_registered_from_there(lidars):
     assert registered.evidence > scored.evidence
 
 
+def _sliding(lidars, pose, along):
+    lead_over = score_implied(lidars, pose).lead_over
+    return SimpleNamespace(T_target_source=pose, visibility=SimpleNamespace(slide_direction=along), lead_over=lead_over)
+
+
+def test_a_place_that_leads_back_is_not_better(lidars, monkeypatch):
+    """A place that seems better is registered first, because poses some decimetres off compare roughly."""
+    along = np.array([0.6, 0.8, 0.0])
+    found = _sliding(lidars, moved(_TRUTH, np.zeros(3), 2.6 * along), along)
+    back = register_implied(lidars, Hypothesis(_TRUTH)).registrations[0]
+    pose = replace(back, T_target_source=found.T_target_source)
+    monkeypatch.setattr(pairs, "register_implied", lambda *_: SimpleNamespace(registrations=(pose,)))
+    assert lead_along_slide(lidars, found)[0] == 0.0
+
+
 @pytest.mark.parametrize("off_m", [0.0, 2.6])
 def test_a_place_along_the_slide_may_fit_better(lidars, off_m):
     along = np.array([0.6, 0.8, 0.0])
-    pose = moved(_TRUTH, np.zeros(3), off_m * along)
-    found = SimpleNamespace(T_target_source=pose, visibility=SimpleNamespace(slide_direction=along))
+    found = _sliding(lidars, moved(_TRUTH, np.zeros(3), off_m * along), along)
     lead, away_m = lead_along_slide(lidars, found)
     assert (lead < 0.0) == (off_m > 0.0)
     assert away_m >= 2.0
