@@ -29,6 +29,8 @@ _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual (Geman-McClure).
 _OUTLIER_SIGMAS = 3.0
+# Sine of the angle between a beam and a surface below which the normal, some degrees off, does not tell the side.
+_GRAZED = float(np.sin(np.deg2rad(10.0)))
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
 # Distance of a plane from the target; a normal that is 2 deg off changes it by as much, 60 m away.
@@ -43,6 +45,7 @@ class Overlap:
         points_m, normals: (N, 3) of the source.
         placed: finds their neighbours in the target.
         shifts: (4, N, 3) how biases move them, and `ring_shifts` (3, N, 3) those of their rings.
+        sides: (N,) as `sides_of` of these points.
         surfaces, planes, rings: (N,) number of the surface, of the plane and of the ring that a point is of; points
             with one number share their errors.
         target_rings: (T,) the same of the target.
@@ -52,6 +55,7 @@ class Overlap:
     points_m: FloatArray
     normals: FloatArray
     placed: MovedPoints
+    sides: FloatArray
     shifts: FloatArray
     ring_shifts: FloatArray
     surfaces: IndexArray
@@ -67,6 +71,7 @@ class Overlap:
             points_m=self.points_m[some],
             normals=self.normals[some],
             placed=self.placed.subset(some),
+            sides=self.sides[some],
             shifts=self.shifts[:, some],
             ring_shifts=self.ring_shifts[:, some],
             surfaces=self.surfaces[some],
@@ -138,6 +143,7 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, max
         points_m,
         normals,
         MovedPoints.of(target.tree, placed_m),
+        sides_of(normals, points_m),
         shifts_per_bias(points_m, normals),
         shifts_per_ring_bias(points_m),
         numbered(np.column_stack([np.floor(placed_m / _SURFACE_M), axes])),
@@ -172,11 +178,22 @@ def find_residuals(
     if np.any(of_target):
         residual_m += slopes_per_bias(found_m, normals) @ of_target
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
+    agreement[agreement * sides_of(normals, found_m) * overlap.sides[matched] < 0.0] = 0.0
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
     # If the normals of both clouds differ by 20 degrees, a quarter of the weight is lost; at 33 degrees, half.
     root = flatness * agreement**2 / (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2)
     return PlaneResiduals(residual_m, root**2, normals, arms, points_m, matched, index, sigma_m)
+
+
+def sides_of(normals: FloatArray, points_m: FloatArray) -> FloatArray:
+    """Return on which side of its surface (N,) the sensor at the origin sees each point: 1, -1, or 0 if it grazes it.
+
+    A post or a sign that two sensors see from opposite sides is no common surface: it is as thick as it is.
+    """
+    across_m = np.einsum("ij,ij->i", normals, points_m)
+    grazed = np.abs(across_m) < _GRAZED * np.linalg.norm(points_m, axis=1)
+    return np.where(grazed, 0.0, np.sign(across_m))
 
 
 def numbered(columns: FloatArray) -> IndexArray:
