@@ -40,6 +40,8 @@ _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
 # Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
 _FAILURES_IF_DETERMINED = 0.5
+# Two LiDARs at four stops: all their pairs are searched in some seconds, and each may be needed.
+_FEW_PAIRS = 24
 # Each link needs another that confirms it. More improve poses that nothing but links tells.
 _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
 # Half of the least turn that a drive needs between two stops.
@@ -105,7 +107,8 @@ class LinkSearch:
             self.loops_per_view = _LOOPS_IF_DETERMINED
         pairs = self._between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
-        priority = {pair: likely for pair, likely in found if likely >= LEAST_PRIORITY}
+        least = 0.0 if len(pairs) <= _FEW_PAIRS else LEAST_PRIORITY
+        priority = {pair: likely for pair, likely in found if likely >= least}
         self._search(priority, _FAILURES_PER_VIEW)
         if not self._graph().is_determined and (freed := with_movable(views, self.levels)):
             self._search_again(freed, priority)
@@ -172,8 +175,8 @@ class LinkSearch:
         failures = 0
         while True:
             graph = self._graph()
-            most = min(per_view, _FAILURES_IF_DETERMINED) if graph.is_determined else per_view
-            if failures >= most * len(labels):
+            most = per_view * len(labels) if len(priority) > _FEW_PAIRS else _FEW_PAIRS
+            if failures >= (min(most, _FAILURES_IF_DETERMINED * len(labels)) if graph.is_determined else most):
                 break
             linked = [(graph.group_of(view).label, view.label) for view in self._views]
             pairs = next_round(labels, linked, tried, priority)

@@ -18,13 +18,14 @@ _STOPS = [DriveStop(name, {"front": object(), "rear": object()}, ()) for name in
 _VIEWS = {DriveView(lidar, stop.name): object() for stop in _STOPS for lidar in stop.lidars}
 _FRONT = DriveView("front", "stop 1")
 _FURTHER = [*_STOPS, replace(_STOPS[0], name="stop 3")]
+_MORE = [replace(stop, lidars={**stop.lidars, "left": object()}) for stop in _FURTHER]
 
 
 @pytest.fixture
 def search(monkeypatch):
     """Search with made outcomes; returns the searched pairs, each as often as it was searched."""
 
-    def run(outcome, freed, code="empty_space_violated", stops=_STOPS):
+    def run(outcome, freed, code="empty_space_violated", stops=_STOPS, priority=10.0):
         searched = []
 
         def made(_, request):
@@ -37,7 +38,7 @@ def search(monkeypatch):
         monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
         monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
         monkeypatch.setattr(link_search, "with_movable", lambda *_: {view: object() for view in freed})
-        monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
+        monkeypatch.setattr(link_search, "priority_of", lambda *_: priority)
         monkeypatch.setattr(link_search, "search_pair", made)
         assert links.search_links(stops, CalibrationConfig(), Workers()).links == ()
         return searched
@@ -68,10 +69,16 @@ def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
 
 def test_pairs_left_by_a_vain_search_stay_unsearched(search):
     """Objects that may have left are no reason to go on where no beam through one refused a pair."""
-    searched = search("undecided", [_FRONT], stops=_FURTHER)
-    assert 6 <= len(searched) < 12
-    assert searched == search("undecided", [], stops=_FURTHER)
-    assert len(search("reject", [_FRONT], stops=_FURTHER)) > len(searched)
+    searched = search("undecided", [_FRONT], stops=_MORE)
+    assert 9 <= len(searched) < 27
+    assert searched == search("undecided", [], stops=_MORE)
+    assert len(search("reject", [_FRONT], stops=_MORE)) > len(searched)
+
+
+@pytest.mark.parametrize(("stops", "count"), [(_FURTHER, 12), (_MORE, 0)], ids=["few", "many"])
+def test_few_pairs_are_all_searched(search, stops, count):
+    """Those that promise little, too, and after as many failures as views."""
+    assert len({*search("undecided", [], stops=stops, priority=1.0)}) == count
 
 
 def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
