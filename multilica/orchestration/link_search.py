@@ -239,15 +239,14 @@ class LinkSearch:
         between = {pair: link for pair, link in self.links.items() if len(link.registration.lidars) > 1}
         found = [link.registration.registrations[0] for link in between.values()]
         leads = dict(zip(between, self.workers.map(lead_along_slide, found), strict=True))
-        for pair in sorted(between, key=lambda pair: leads[pair]):
+        doubtful = [pair for pair, (lead, _) in leads.items() if lead < 0.0]
+        for pair in sorted(doubtful, key=leads.__getitem__, reverse=True):
             lead, away_m = leads[pair]
-            if lead >= 0.0:
-                break
             one, other = sorted(between[pair].registration.lidars)
             text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"
             verdict = Verdict("undecided", (Reason("held_by_repetition", lead, 0.0, text),))
             for also, link in between.items():
-                if self.links[also].counts and _slide_alike(between[pair], link):
+                if _slide_alike(between[pair], link):
                     self.links[also] = replace(link, registration=replace(link.registration, verdict=verdict))
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:

@@ -107,24 +107,26 @@ def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("lead", "turn_rad", "outcomes"),
+    ("lead", "turn_rad", "yaw_rad", "outcomes"),
     [
-        (-0.1, 0.0, ("undecided", "undecided")),
-        (-0.1, np.pi, ("undecided", "undecided")),
-        (-0.1, 1.2, ("undecided", "accept")),
-        (0.1, 0.0, ("accept", "accept")),
+        (-0.1, 0.0, 0.0, ("undecided", "undecided")),
+        (-0.1, np.pi, 0.0, ("undecided", "undecided")),
+        (-0.1, 1.2, 0.0, ("undecided", "accept")),
+        (-0.1, 0.0, 1.2, ("undecided", "accept")),
+        (-0.1, 1.2, 1.2, ("undecided", "accept")),
+        (0.1, 0.0, 0.0, ("accept", "accept")),
     ],
 )
-def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, turn_rad, outcomes):
+def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, turn_rad, yaw_rad, outcomes):
     """It doubts the links of these two LiDARs that slide along the same axis, and none of a LiDAR with itself."""
     worse = ("front at stop 1", "rear at stop 2")
 
     def made(_, request):
-        axis = np.array([1.0, 0.0, 0.0])
+        axis, pose = np.array([1.0, 0.0, 0.0]), RigidTransform.identity(*request.pair)
         if request.pair != worse:
             axis = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
+            pose = RigidTransform.from_xyz_rpy(*request.pair, [0.0, 0.0, 0.0], [0.0, 0.0, yaw_rad])
         best = SimpleNamespace(evidence=9.0, pair=request.pair, visibility=SimpleNamespace(slide_direction=axis))
-        pose = RigidTransform.identity(*request.pair)
         found = PairRegistration(*request.pair, pose, 0.9, 0.1, 1, None, None, "", information=np.eye(6))
         return SimpleNamespace(registration=replace(found, registrations=(best,)))
 
