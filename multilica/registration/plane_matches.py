@@ -29,8 +29,9 @@ _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual (Geman-McClure).
 _OUTLIER_SIGMAS = 3.0
-# Sine of the angle between a beam and a surface below which the normal, some degrees off, does not tell the side.
-_GRAZED = float(np.sin(np.deg2rad(10.0)))
+# Sine of the angle between a beam and a surface below which the normal does not tell the side: of 16 rings, normals
+# are up to 20 degrees off.
+_GRAZED = float(np.sin(np.deg2rad(20.0)))
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
 # Distance of a plane from the target; a normal that is 2 deg off changes it by as much, 60 m away.

@@ -30,5 +30,5 @@ def test_a_board_seen_from_both_sides_is_no_common_surface(x_m, counts):
 
 
 def test_a_grazed_surface_has_no_side():
-    points_m = np.array([[10.0, 0.0, 1.0], [10.0, 0.0, -1.0], [10.0, 0.0, 3.0], [10.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
+    points_m = np.array([[10.0, 0.0, 3.0], [10.0, 0.0, -3.0], [10.0, 0.0, 5.0], [10.0, 0.0, -5.0], [0.0, 0.0, 0.0]])
     assert sides_of(np.tile([0.0, 0.0, 1.0], (5, 1)), points_m).tolist() == [0.0, 0.0, 1.0, -1.0, 0.0]
