@@ -40,7 +40,8 @@ _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
 # Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
 _FAILURES_IF_DETERMINED = 0.5
-# Two LiDARs at four stops: all their pairs are searched in some seconds, and each may be needed.
+# So many promising pairs are all searched in some seconds, and each may be needed. Two LiDARs at four stops have so
+# many in all: then also those that promise little.
 _FEW_PAIRS = 24
 # Each link needs another that confirms it. More improve poses that nothing but links tells.
 _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
@@ -270,7 +271,7 @@ def _slide_alike(one: ViewPair, other: ViewPair) -> bool:
 def _slide_axes(link: ViewPair) -> dict[str, FloatArray]:
     """Return the axis along which a link slides, in the frame of each of its two LiDARs."""
     axis = link.registration.registrations[0].visibility.slide_direction
-    return {link.target.lidar: axis, link.source.lidar: link.registration.T_target_source.matrix[:3, :3].T @ axis}
+    return {link.target.lidar: axis, link.source.lidar: link.registration.T_target_source.rotation.T @ axis}
 
 
 def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:

@@ -190,7 +190,7 @@ def find_residuals(
 def sides_of(normals: FloatArray, points_m: FloatArray) -> FloatArray:
     """Return on which side of its surface (N,) the sensor at the origin sees each point: 1, -1, or 0 if it grazes it.
 
-    A post or a sign that two sensors see from opposite sides is no common surface: it is as thick as it is.
+    Sensors that see a post or a sign from opposite sides share no surface: its sides are as far apart as it is thick.
     """
     across_m = np.einsum("ij,ij->i", normals, points_m)
     grazed = np.abs(across_m) < _GRAZED * np.linalg.norm(points_m, axis=1)
