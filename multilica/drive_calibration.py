@@ -162,9 +162,10 @@ def _link(
         if confirmed := _confirmed(stops, found, result):
             found = replace(found, links=(*found.links, *confirmed))
             result = joined(found)
-        if any(each.status == "uncertain" for each in result.placements):
+        uncertain = {each.lidar for each in result.placements if each.status == "uncertain"}
+        if uncertain:
             before = len(found.links)
-            found = follow_poses(stops, config, workers, found, _view_poses(result), deadline_s)
+            found = follow_poses(stops, config, workers, found, _view_poses(result), uncertain, deadline_s)
             found = replace(found, links=(*found.links, *_confirmed(stops, found, result)))
             if len(found.links) > before:
                 result = joined(found)

@@ -32,6 +32,8 @@ _ALONG_ONE_AXIS_M = 0.7
 # A smaller turn of the vehicle does not tell the vertical.
 _TURN_RAD = float(np.deg2rad(20.0))
 _VERTICAL = 0.9
+# Along a direction that turns by more, 3 deg per metre, no place looks alike: repeated ones have the same attitude.
+_TURNS = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +75,9 @@ class ViewSolution:
     def is_confirmed(self, link: ViewPair) -> bool:
         """Return whether the others tell where the link has to be, if only roughly along one axis.
 
-        A height that no drive on a plane tells may stay open. If the link fits at no other place, the others need to
-        tell only its attitude: a hall that looks the same when turned would turn it.
+        A height that no drive on a plane tells may stay open, and so may a turn, along which no place repeats. If the
+        link fits at no other place, the others need to tell only its attitude: a hall that looks the same when turned
+        would turn it.
 
         They do not if one of its LiDARs has no pose here.
         """
@@ -91,6 +94,8 @@ class ViewSolution:
         variances, directions = np.linalg.eigh(covariance)
         loose = directions[:, variances > _CONFIRMED_M**2]
         if loose.shape[1] == 0 or (loose.shape[1] == 1 and variances[-1] < _ALONG_ONE_AXIS_M**2):
+            return True
+        if loose.shape[1] == 1 and np.linalg.norm(loose[:3, 0]) > _TURNS:
             return True
         up = self._vertical
         if loose.shape[1] > 1 or up is None:

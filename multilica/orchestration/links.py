@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links between the stops of a drive: searched, and followed from motions and poses."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.config import CalibrationConfig
@@ -109,6 +109,7 @@ def follow_poses(
     workers: Workers,
     found: FoundLinks,
     poses: Mapping[DriveView, RigidTransform],
+    uncertain: Collection[str],
     deadline_s: float = float("inf"),
 ) -> FoundLinks:
     """Register views of different stops from the poses that all links tell together, where these are not precise.
@@ -118,6 +119,7 @@ def follow_poses(
     Args:
         found: links that tell the poses.
         poses: of views. Those with the same target have linked stops.
+        uncertain: LiDARs; only their views are registered, with those of any.
 
     Returns:
         All links, those with little evidence among the weak ones.
@@ -125,7 +127,7 @@ def follow_poses(
     search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     known = {link.views for link in found.links}
     try:
-        search.follow_poses(poses, known)
+        search.follow_poses(poses, known, uncertain)
     finally:
         workers.forget()
     known |= {link.views for link in search.weak.values()}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs that alone, or with few others, join two groups, tested with all that these groups see."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -141,7 +141,7 @@ def _competing(
 ) -> tuple[Reason, ...]:
     """Return why the groups that a pair joins fit as well at another pose; nothing if they do not."""
     graph = PairGraph.of(sorted(state.clouds), others)
-    further = _through_others(state, pair, graph)
+    further = _found_elsewhere(state, pair, graph)
     sees_more = len(graph.poses(pair.target)) + len(graph.poses(pair.source)) > 2
     if not further and not (sees_more and _places(pair, state.config.acceptance) > 1):
         return ()
@@ -155,27 +155,43 @@ def _competing(
     return tuple(replace(reason, competing=None) for reason in competing)
 
 
-def _through_others(state: CalibrationState, pair: PairRegistration, graph: PairGraph) -> list[RigidTransform]:
-    """Return poses of a pair that may compete with it: those that both its groups found to a third LiDAR imply."""
-    targets, sources = graph.poses(pair.target), graph.poses(pair.source)
+def _found_elsewhere(state: CalibrationState, pair: PairRegistration, graph: PairGraph) -> list[RigidTransform]:
+    """Return poses of a pair that may compete with it: searches between its groups, or to a third LiDAR, found them."""
     limits, known = state.config.acceptance, state.score_rough_pose(pair.T_target_source)
     found: list[RigidTransform] = []
+    for pose in _implied(state, graph.poses(pair.target), graph.poses(pair.source)):
+        is_new = is_near(pose, limits.max_baseline_m) and is_distinct(pose, [pair.T_target_source, *found])
+        if is_new and may_compete(known, state.score_rough_pose(pose), limits):
+            found.append(pose)
+    return found
+
+
+def _implied(
+    state: CalibrationState, targets: Mapping[str, RigidTransform], sources: Mapping[str, RigidTransform]
+) -> Iterator[RigidTransform]:
+    """Yield the poses between the roots of two groups that searches between them, or of both to a third LiDAR, imply.
+
+    A search of two LiDARs has compared its own poses, so two groups of one have no others between them.
+
+    Args:
+        targets, sources: the pose of each member in the root of its group.
+    """
+    if len(targets) + len(sources) > 2:
+        for (target, T_root), (source, T_other) in product(sorted(targets.items()), sorted(sources.items())):
+            for pose in _poses(state, target, source):
+                yield T_root @ pose @ T_other.inverse()
     for lidar in sorted({*state.clouds} - {*targets, *sources}):
         before = [T_root @ each for name, T_root in sorted(targets.items()) for each in _poses(state, name, lidar)]
         after = [T_root @ each for name, T_root in sorted(sources.items()) for each in _poses(state, name, lidar)]
         for to_target, to_source in product(before, after):
-            pose = to_target @ to_source.inverse()
-            is_new = is_near(pose, limits.max_baseline_m) and is_distinct(pose, [pair.T_target_source, *found])
-            if is_new and may_compete(known, state.score_rough_pose(pose), limits):
-                found.append(pose)
-    return found
+            yield to_target @ to_source.inverse()
 
 
 def _poses(state: CalibrationState, target: str, source: str) -> Iterable[RigidTransform]:
     """Yield the poses between two LiDARs that a search found and that would count by themselves."""
     least = state.config.acceptance.min_evidence
-    for pair in (state.searched.get((target, source)), state.searched.get((source, target))):
-        for each in pair.registrations if pair is not None else ():
+    for pair in ((target, source), (source, target)):
+        for each in state.verified.get(pair, ()):
             if each.evidence >= least:
                 yield each.T_target_source.with_target(target)
 

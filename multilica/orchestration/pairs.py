@@ -9,7 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.acceptance.accept import accept, accept_by_fitness, is_surely_ambiguous, may_be_accepted
+from multilica.acceptance.accept import (
+    accept,
+    accept_by_fitness,
+    is_surely_ambiguous,
+    may_be_accepted,
+    surely_competing,
+)
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
@@ -45,6 +51,9 @@ _NEXT_PLACE_M = 2.0
 _LONGEST_SLIDE_M = 15.0
 # Rough tolerances reach half of it to both sides.
 _SCORED_STEP_M = 0.3
+
+# So many that at least two of them compete after the fine registration too.
+_ENOUGH_COMPETING = 4
 
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
 
@@ -195,14 +204,26 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
     ):
         return found
     if "fine" in stages and found.coarse is not None:
-        hypotheses = found.coarse.hypotheses
-        if found.verified is not None:
-            hypotheses = tuple(each.as_hypothesis(found.verified[0]) for each in found.verified)
-        if hypotheses:
-            found.registration = register_sides(target.side, source.side, hypotheses, config)
+        if found.verified is None and found.coarse.hypotheses:
+            found.registration = register_sides(target.side, source.side, found.coarse.hypotheses, config)
+        elif found.verified:
+            found.registration = _register_verified(target.side, source.side, found.verified, config)
         _beside_further_poses(found, target, source)
         finish("fine")
     return found
+
+
+def _register_verified(
+    target: RegistrationCloud, source: RegistrationCloud, verified: Sequence[Registration], config: CalibrationConfig
+) -> PairRegistration:
+    """Register the verified poses of a pair; if several surely compete with the first, these alone tell that."""
+    competing = sorted(surely_competing(verified, config.acceptance), key=verified[0].lead_over)
+    if len(competing) >= _ENOUGH_COMPETING:
+        few = [each.as_hypothesis(verified[0]) for each in (verified[0], *competing[:_ENOUGH_COMPETING])]
+        found = register_sides(target, source, few, config)
+        if found.verdict.outcome == "undecided":
+            return found
+    return register_sides(target, source, [each.as_hypothesis(verified[0]) for each in verified], config)
 
 
 def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: PreparedLidar) -> None:

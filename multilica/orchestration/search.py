@@ -138,9 +138,7 @@ def _refused(state: CalibrationState, pair: PairKey) -> tuple[RigidTransform, ..
     """Return the poses of an earlier search of the pair; None if there was none."""
     if pair not in state.coarse:
         return None
-    found = state.registrations.get(pair)
-    poses = () if found is None else (each.T_target_source for each in found.registrations)
-    return tuple(pose.with_target(pair[0]) for pose in poses)
+    return tuple(each.T_target_source.with_target(pair[0]) for each in state.verified.get(pair, ()))
 
 
 def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:

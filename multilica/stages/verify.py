@@ -14,6 +14,7 @@ from multilica.acceptance.accept import (
     is_well_constrained,
     likeliest_first,
     min_competing_evidence,
+    surely_competing,
 )
 from multilica.config import CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
@@ -42,6 +43,9 @@ _NEAR_SLIDE_M = 6.0
 _EARLY_STOP_POSES = 6
 _EARLY_STOP_POSES_CONSTRAINED = 2
 _MAX_SYMMETRIC_POSES = 6
+# Beside poses that were accepted in the end, at most three competed before these were registered.
+_SURELY_COMPETING = 6
+_TURNED_RAD = 0.25 * np.pi
 # The short GICP; a denser cloud is thinned further.
 _SHORT_VOXEL_M = 0.5
 _SHORT_POINTS = 4000
@@ -107,10 +111,13 @@ def verify_hypotheses(
         return ()
     ranked = _ranked(found, config)
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, ranked, gicp, config):
+        if _is_undecidable(ranked, config):
+            return tuple(ranked)
         ranked = _with_competing(target, source, ranked, hypothesis, settings, config)
     if not ranked or cannot_be_accepted(ranked[0].evidence, config.acceptance) or target.view.at_stop:
         return tuple(ranked)
-    return tuple(_up_to_a_competitor(target, source, ranked, _with(gicp, _far_slides(ranked[0], config)), config))
+    ranked = _up_to_a_competitor(target, source, ranked, _with(gicp, _far_slides(ranked[0], config)), config)
+    return tuple(_up_to_a_competitor(target, source, ranked, _with(gicp, _turned_slides(ranked, config)), config))
 
 
 def find_poses_beside(
@@ -148,6 +155,7 @@ def find_poses_beside(
     else:
         beside = _competing_hypotheses(target.view, source.view, known[:1], gicp, config)
         ranked = _up_to_a_competitor(target, source, ranked, [*beside, *slides], config)
+        ranked = _up_to_a_competitor(target, source, ranked, _with(gicp, _turned_slides(ranked, config)), config)
     return [each for each in ranked if all(each is not other for other in known)]
 
 
@@ -179,12 +187,12 @@ def _registered_in_turn(
     gicp: FineConfig,
     config: CalibrationConfig,
 ) -> list[Registration]:
-    """Register the hypotheses that are not near an earlier result, until one pose is clearly correct."""
+    """Register the hypotheses that are not near an earlier result, until one is clearly correct or too many compete."""
     from_prior: list[Registration] = []
     found: list[Registration] = []
     for hypothesis in hypotheses:
         known = from_prior if hypothesis.origin == PRIOR else found
-        if known is found and _is_settled(found, config):
+        if known is found and (_is_settled(found, config) or _is_undecidable(_ranked(found, config), config)):
             continue
         if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in known)):
             continue
@@ -304,6 +312,15 @@ def _far_slides(best: Registration, config: CalibrationConfig) -> list[Hypothesi
     return [each for each in slides if best.T_target_source.distance_to(each.T_target_source)[0] > _NEAR_SLIDE_M + 0.5]
 
 
+def _turned_slides(ranked: Sequence[Registration], config: CalibrationConfig) -> list[Hypothesis]:
+    """Return the slid poses of the first pose that is turned against the best, if the place is long."""
+    best, *others = ranked
+    if not is_in_long_place(best.visibility):
+        return []
+    turned = [each for each in others if best.T_target_source.distance_to(each.T_target_source)[1] > _TURNED_RAD]
+    return _slides(turned[0], 2.0 * config.acceptance.max_baseline_m, config) if turned else []
+
+
 def _registered(
     target: VerificationCloud,
     source: VerificationCloud,
@@ -331,6 +348,11 @@ def _register(
     found = register_narrower(target.cloud, source.cloud, start, gicp)
     found = replace(found, T_target_source=found.T_target_source.with_target(start.target))
     return score_registration(found, hypothesis, target.view.alone, source.view.alone, *ROUGH_TOLERANCES)
+
+
+def _is_undecidable(ranked: Sequence[Registration], config: CalibrationConfig) -> bool:
+    """Return whether so many poses surely compete with the first that no further one leads them all."""
+    return len(ranked) > _SURELY_COMPETING and len(surely_competing(ranked, config.acceptance)) >= _SURELY_COMPETING
 
 
 def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> bool:

@@ -46,6 +46,15 @@ def test_one_axis_may_be_told_roughly(sigma_m, is_confirmed):
     assert solve_views("A", [link, rough]).is_confirmed(link) == is_confirmed
 
 
+@pytest.mark.parametrize(("axis", "is_confirmed"), [(2, True), (3, False)], ids=["a turn", "a way"])
+def test_a_turn_may_stay_open(axis, is_confirmed):
+    link, other = pair("A1", "A2"), pair("A1", "A2")
+    sigmas = np.full(6, 0.01)
+    sigmas[axis] = 2.0
+    rough = replace(other, registration=replace(other.registration, information=np.diag(sigmas**-2.0)))
+    assert solve_views("A", [link, rough]).is_confirmed(link) == is_confirmed
+
+
 @pytest.mark.parametrize(
     ("sigmas", "is_confirmed"),
     [([0.01, 0.01, 0.01, 9.0, 9.0, 9.0], True), ([0.01, 0.01, 0.2, 1.0, 0.01, 0.01], False)],

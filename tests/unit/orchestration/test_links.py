@@ -205,6 +205,9 @@ def registered(monkeypatch):
     monkeypatch.setattr(link_search, "register_implied", made)
 
 
+_BOTH = {"front", "rear"}
+
+
 def _poses(*views, target="stop 1"):
     """Poses of views that are 1 m apart."""
     return {
@@ -217,23 +220,32 @@ def _poses(*views, target="stop 1"):
 def test_views_are_linked_from_their_poses():
     """Links with little evidence are weak ones, and known links stay as they are."""
     poses = _poses(*_VIEWS)
-    first = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), poses)
+    first = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), poses, _BOTH)
     assert [link.views for link in first.links] == [{_FRONT, DriveView("front", "stop 2")}]
     assert len(first.weak) == 3
     (link,) = first.links
     assert link.registration.T_target_source.xyz_m == pytest.approx([2.0, 0.0, 0.0])
     known = links.FoundLinks(first.weak[:1], first.weak)
-    again = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), known, poses)
+    again = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), known, poses, _BOTH)
     assert again.links[0] is first.weak[0]
     assert {link.views for link in again.links} == {first.weak[0].views, link.views}
     assert {link.views for link in again.weak} == {each.views for each in first.weak[1:]}
 
 
 @pytest.mark.usefixtures("registered")
+def test_only_pairs_of_uncertain_lidars_are_registered():
+    nothing, poses = links.FoundLinks(), _poses(*_VIEWS)
+    found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), nothing, poses, {"rear"})
+    assert not found.links
+    assert all("rear" in {view.lidar for view in link.views} for link in found.weak)
+    assert len(found.weak) == 3
+
+
+@pytest.mark.usefixtures("registered")
 def test_views_without_a_common_target_are_not_linked():
     poses = _poses(_FRONT) | _poses(DriveView("front", "stop 2"), target="stop 2")
     nothing = links.FoundLinks()
-    found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), nothing, poses)
+    found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), nothing, poses, _BOTH)
     assert (found.links, found.weak) == ((), ())
 
 

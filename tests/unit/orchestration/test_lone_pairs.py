@@ -34,6 +34,7 @@ def _state(pairs, searched=(), rough=(), implied_by=None):
     return SimpleNamespace(
         registrations={(pair.target, pair.source): pair for pair in pairs},
         searched={(pair.target, pair.source): pair for pair in searched},
+        verified={(pair.target, pair.source): pair.registrations for pair in searched},
         config=CalibrationConfig(),
         clouds=dict.fromkeys("abcd"),
         implied_by=implied_by or {},
@@ -120,6 +121,22 @@ def test_what_both_found_to_a_third_lidar_is_tested(doubt):
     by_chance = replace(to_third, registrations=(scored(true_pose("a", "c"), 5),))
     assert by_chance.evidence < 2.3
     assert not doubt(*pairs, searched=(by_chance, shifted), rough=(true_pose("a", "d"), implied))[1]
+
+
+def test_what_a_search_between_the_groups_found_is_tested(doubt):
+    """One of the LiDARs found the true pose and could not decide; the other one found a wrong pose only."""
+    elsewhere = pose("a", "d", (3.0, 0.0, 0.0))
+    undecided = moved_to(replace(linked("b", "d"), verdict=Verdict("undecided")), true_pose("b", "a") @ elsewhere)
+    pairs = linked("a", "b"), linked("a", "d"), undecided
+    rough = true_pose("a", "b"), true_pose("a", "d")
+    found, asked = doubt(*pairs, searched=(undecided,), rough=(*rough, elsewhere))
+    assert found == {"ad", "bd"}
+    assert asked == [({"a", "b"}, {"d"}, pytest.approx(elsewhere.xyz_m.tolist()))]
+    assert not doubt(*pairs, searched=(undecided,), rough=rough)[1]
+
+
+def test_two_lidars_are_not_tested_at_what_their_search_found(doubt):
+    assert not doubt(linked("a", "d"), searched=(_searched("a", "d"),), rough=(true_pose("a", "d"), _ELSEWHERE))[1]
 
 
 def test_pairs_that_a_doubted_one_implied_go_with_it(doubt):

@@ -156,6 +156,26 @@ def test_a_winner_among_competitors_is_registered_beside_its_own(lidars, monkeyp
     assert [led for _, led in asked] == [False]
 
 
+def test_a_pair_with_many_competitors_is_told_by_some_of_them(lidars, monkeypatch):
+    """If these do not leave it undecided, all its poses are registered."""
+    registered = []
+    monkeypatch.setattr(pairs, "register_sides", _recording(pairs.register_sides, registered))
+    monkeypatch.setattr(pairs, "_beside_further_poses", lambda *_: None)
+    plain = _search(lidars)
+    assert len(registered) == 1
+    best = plain.verified[0]
+    frame = best.T_target_source.target
+    slid = [RigidTransform.from_xyz_rpy(frame, frame, (1.0 * n, 0, 0), (0, 0, 0)) for n in range(1, 8)]
+    alike = (best, *(replace(best, T_target_source=each @ best.T_target_source) for each in slid))
+    monkeypatch.setattr(pairs, "verify_hypotheses", lambda *_: alike)
+    monkeypatch.setattr(pairs, "accept", lambda *_: Verdict("undecided"))
+    _search(lidars)
+    assert len(registered[-1]) == 5
+    monkeypatch.setattr(pairs, "accept", lambda *_: Verdict("reject"))
+    _search(lidars)
+    assert [len(each) for each in registered[-2:]] == [5, 8]
+
+
 def _recording(register, registered):
     def one(target, source, hypotheses, config, **options):
         registered.append(hypotheses)

@@ -239,6 +239,30 @@ def test_far_slides_are_tested_until_one_surely_competes(aisle):
     assert len(_verified(links, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)) == 1
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("all_promising")
+def test_the_search_ends_where_many_poses_compete(aisle):
+    slid = [_near(_TRUTH, _TARGET.rotation.T @ (along_m, 0.0, 0.0), 0.0) for along_m in (0.0, 3.0, -3.0, 6.0, -6.0)]
+    every, few = (_verified(aisle, *slid, limits=_NEVER_FIRM, surely_competing=most) for most in (50, 1))
+    assert is_surely_ambiguous(few, _LIMITS)
+    assert len(few) < len(slid) < len(every)
+    assert not any(each.derivation for each in few)
+
+
+@pytest.mark.slow
+def test_poses_turned_in_long_places_are_slid(aisle, monkeypatch):
+    config = CalibrationConfig()
+    best, near, turned = (_verified(aisle, pose, near_slide_m=0.0)[0] for pose in (_TRUTH, _near(_TRUTH), _HALF_TURN))
+    monkeypatch.setattr("multilica.acceptance.accept._LONG_PLACE", 1.0)
+    slid = verify._turned_slides([best, near, turned], config)
+    ways_m = [each.T_target_source.distance_to(turned.T_target_source) for each in slid]
+    assert max(radians for _, radians in ways_m) < 1e-6
+    assert max(metres for metres, _ in ways_m) > 9.0
+    assert verify._turned_slides([best, near], config) == []
+    monkeypatch.setattr("multilica.acceptance.accept._LONG_PLACE", 0.0)
+    assert verify._turned_slides([best, turned], config) == []
+
+
 def _when_slid(found):
     """Order slides as they are tested: the nearer first, backwards before forwards."""
     metres = float(found.derivation.split()[2])
