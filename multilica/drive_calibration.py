@@ -18,6 +18,7 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
+from multilica.multi_snapshot.view_solution import solve_views
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
@@ -159,6 +160,11 @@ def _link(
         if found.links and time.monotonic() < deadline_s and any(not each.placed for each in result.placements):
             found = mark_unique(stops, config, workers, found)
             result = joined(found)
+        if found.links and any(each.T_target_source is None for each in result.placements):
+            known = found
+            found = _followed_from_all(stops, config, workers, found, result, deadline_s)
+            if found is not known:
+                result = joined(found)
         if confirmed := _confirmed(stops, found, result):
             found = replace(found, links=(*found.links, *confirmed))
             result = joined(found)
@@ -181,13 +187,35 @@ def ways_of(snapshots: Mapping[str, Snapshot]) -> dict[str, ReadMotions]:
     return {name: each.read_motions for name, each in snapshots.items() if each.read_motions is not None}
 
 
+def _followed_from_all(
+    stops: Sequence[DriveStop],
+    config: CalibrationConfig,
+    workers: Workers,
+    found: FoundLinks,
+    result: CalibrationResult,
+    deadline_s: float,
+) -> FoundLinks:
+    """Register views of LiDARs without a pose where all links together put them, with links that no other confirms.
+
+    A wrong link puts views where their beams contradict each other, so the further links confirm the right ones.
+    """
+    pairs = [*_within(stops), *(link for link in found.links if link.counts)]
+    poses = solve_views(result.target, pairs, ground_pairs(found.levels)).view_poses
+    unplaced = {each.lidar for each in result.placements if each.T_target_source is None}
+    return follow_poses(stops, config, workers, found, poses, unplaced, deadline_s) if poses else found
+
+
+def _within(stops: Sequence[DriveStop]) -> list[ViewPair]:
+    pairs = ((stop.name, pair) for stop in stops for pair in stop.pairs)
+    return [ViewPair(pair, name, name) for name, pair in pairs if pair.information is not None]
+
+
 def _confirmed(stops: Sequence[DriveStop], found: FoundLinks, result: CalibrationResult) -> list[ViewPair]:
     """Return the weak links that count, if LiDARs are not placed without them, less certain than they say."""
     if not found.weak or all(each.placed for each in result.placements):
         return []
-    within = [ViewPair(pair, stop.name, stop.name) for stop in stops for pair in stop.pairs]
     grounds = ground_pairs(found.levels)
-    confirmed = confirmed_links(result.target, within, found.links, found.weak, grounds)
+    confirmed = confirmed_links(result.target, _within(stops), found.links, found.weak, grounds)
     return [replace(link, registration=loosened(link.registration, _WEAKER)) for link in confirmed]
 
 

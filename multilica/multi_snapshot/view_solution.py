@@ -65,6 +65,18 @@ class ViewSolution:
         """(N, N) of the unknowns; what nothing determines is wide."""
         return np.asarray(np.linalg.inv(self.information + _prior(len(self.information))), dtype=np.float64)
 
+    @property
+    def view_poses(self) -> dict[DriveView, RigidTransform]:
+        """The pose of each LiDAR at each linked stop, relative to the root at the first stop; none of stops apart."""
+        if len(self.first) != 1:
+            return {}
+        (first,) = self.first
+        return {
+            (view := DriveView(lidar, stop)): RigidTransform(first, view.label, of_stop.matrix @ pose.matrix)
+            for stop, of_stop in self.poses.stops.items()
+            for lidar, pose in self.poses.poses.items()
+        }
+
     def leaves_open(self, pose: RigidTransform) -> bool:
         """Return whether another pose of a LiDAR differs only along directions that nothing determines."""
         number = 6 * self.poses.free.index(pose.source)

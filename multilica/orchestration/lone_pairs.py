@@ -25,11 +25,10 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     """Leave pairs undecided that join two groups with little evidence, or alone where these groups fit elsewhere too.
 
     If a search found several poses with enough evidence, all but one are wrong: here a wrong pose may have enough. The
-    pairs that join two groups then need together as much as if another pose competed. So do those that are precise in
-    a tunnel.
+    pairs that join two groups then need together as much as if another pose competed. So do those in a tunnel.
 
     A pair decides by what two LiDARs see, and their groups see more: a lone pair is also tested at the other poses that
-    its search found, and at those that both groups and a third LiDAR imply.
+    searches between its groups found, and at those that both groups and a third LiDAR imply.
 
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
@@ -113,7 +112,7 @@ def _little_evidence(
 ) -> tuple[Reason, ...]:
     """Return why the pairs that join two groups have too little evidence where wrong poses have some; else nothing."""
     least, evidence = limits.min_evidence + limits.min_log_odds_margin, sum(each.evidence for each in across)
-    long = all(each.verdict.accepted and is_in_long_place(each.registrations[0].visibility) for each in across)
+    long = all(is_in_long_place(each.registrations[0].visibility) for each in across)
     if evidence >= least or not (repeats or long):
         return ()
     joins = f"only {pair.source} against {pair.target} joins their groups"

@@ -6,12 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.config import RefineConfig
+from multilica import drive_calibration
+from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
-from tests.multi_snapshot.made_drive import LIDARS, STOPS, pair, pairs
+from multilica.orchestration.links import FoundLinks
+from multilica.results import CalibrationResult, DriveView, LidarPlacement
+from multilica.workers import Workers
+from tests.multi_snapshot.made_drive import LIDARS, STOPS, pair, pairs, view_pose
 
 _OVER_GROUND = RigidTransform.from_xyz_rpy("ground", "A", [0.0, 0.0, 1.8], [0.01, -0.02, 0.0])
 _LEVELS = {name: _OVER_GROUND @ pose for name, pose in LIDARS.items()}
@@ -118,3 +122,41 @@ def test_a_pose_that_only_the_ground_completes_is_told_so():
     error = told.T_root_lidar.offset_from(LIDARS["B"])
     assert error @ np.linalg.solve(told.covariance, error) < 20.0
     assert np.sqrt(np.linalg.eigvalsh(told.covariance[3:, 3:])[-1]) < 0.3
+
+
+def test_views_have_the_poses_that_all_links_tell():
+    links = _links("A1-B3 A3-C4 C1-A2 B2-C4 A4-B1 C3-B4")
+    poses = solve_views("A", links, ground_pairs(_LEVELS)).view_poses
+    assert {view.lidar for view in poses} == {*"ABC"}
+    (first,) = {pose.target for pose in poses.values()}
+    T_first_root = view_pose(DriveView("A", first)).inverse()
+    for view, pose in poses.items():
+        assert pose.source == view.label
+        off = RigidTransform("A", view.lidar, pose.matrix).distance_to(T_first_root @ view_pose(view))
+        assert off == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+def test_views_of_stops_apart_have_none():
+    assert solve_views("A", _links("A1-A2 A3-A4")).view_poses == {}
+    assert solve_views("A", []).view_poses == {}
+
+
+def test_all_links_lead_to_further_ones_where_none_confirms_them(monkeypatch):
+    """Each link is right, and without one of them the others do not tell the poses."""
+    asked = []
+
+    def follow(stops, _config, _workers, found, poses, lidars, _deadline_s):
+        asked.append((len(stops), {view.lidar for view in poses}, lidars))
+        return replace(found, links=(*found.links, *_links("A1-B3")))
+
+    joined = []
+    placements = (LidarPlacement("A", "made", T_target_source=LIDARS["A"]), LidarPlacement("B", "made"))
+    result = CalibrationResult("A", "made", placements)
+    monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks(tuple(_links(_CROSSED))))
+    monkeypatch.setattr(drive_calibration, "mark_unique", lambda *arguments: arguments[3])
+    monkeypatch.setattr(drive_calibration, "follow_poses", follow)
+    monkeypatch.setattr(drive_calibration, "follow_motions", lambda *arguments: arguments[3])
+    monkeypatch.setattr(drive_calibration, "join", lambda *arguments: (joined.append(arguments[2]), result)[1])
+    drive_calibration._link((), (), CalibrationConfig(), Workers(), list, np.inf)
+    assert asked == [(0, {*"ABC"}, {"B"})]
+    assert len(joined[-1]) == 7
