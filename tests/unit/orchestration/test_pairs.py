@@ -156,6 +156,7 @@ def test_a_winner_among_competitors_is_registered_beside_its_own(lidars, monkeyp
     assert [led for _, led in asked] == [False]
 
 
+@pytest.mark.slow
 def test_a_pair_with_many_competitors_is_told_by_some_of_them(lidars, monkeypatch):
     """If these do not leave it undecided, all its poses are registered."""
     registered = []
