@@ -31,6 +31,23 @@ def test_what_a_search_found_outlives_a_loop():
     assert state.searched["a", "b"] is found
 
 
+def test_a_search_again_knows_what_the_first_one_verified():
+    """Also poses that were not registered to the end are refused."""
+    verified = (scored(true_pose("a", "b")), scored(pose("a", "b", (3.0, 0.0, 0.0))))
+    asked = []
+
+    def searched(_, requests):
+        asked.extend(requests)
+        return [PairSearch(matches=None, coarse="found", verified=verified) for _ in requests]
+
+    state = CalibrationState(
+        snapshot=None, config=CalibrationConfig(), observe=lambda _: None, workers=SimpleNamespace(map=searched)
+    )
+    for voxel_size_m in (0.3, 0.5):
+        search._search_now(state, [("a", "b")], voxel_size_m)
+    assert [each.refused for each in asked] == [None, tuple(each.T_target_source for each in verified)]
+
+
 def test_the_chain_that_implied_a_pair_is_remembered(monkeypatch):
     results = {score_implied: scored(true_pose("a", "c")), register_implied: replace(linked("a", "c"), hypothesis=-1)}
     workers = SimpleNamespace(map=lambda task, items: [results[task] for _ in items])

@@ -261,6 +261,10 @@ def test_poses_turned_in_long_places_are_slid(aisle, monkeypatch):
     assert verify._turned_slides([best, near], config) == []
     monkeypatch.setattr("multilica.acceptance.accept._LONG_PLACE", 0.0)
     assert verify._turned_slides([best, turned], config) == []
+    asked = []
+    monkeypatch.setattr(verify, "_turned_slides", lambda ranked, _: (asked.append(ranked), [])[1])
+    _beside(aisle, led=False)
+    assert len(asked) == 2
 
 
 def _when_slid(found):
