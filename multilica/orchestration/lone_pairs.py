@@ -16,9 +16,12 @@ from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import register_sides
 from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct, is_near
-from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Verdict, connected
+from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Registration, Verdict, connected
 from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
+
+# Groups are registered at so many further poses of a pair, the likeliest ones; each takes a second or two.
+_MOST_ELSEWHERE = 2
 
 
 def doubt_lone_pairs(state: CalibrationState) -> None:
@@ -162,7 +165,7 @@ def _found_elsewhere(state: CalibrationState, pair: PairRegistration, graph: Pai
         is_new = is_near(pose, limits.max_baseline_m) and is_distinct(pose, [pair.T_target_source, *found])
         if is_new and may_compete(known, state.score_rough_pose(pose), limits):
             found.append(pose)
-    return found
+    return sorted(found, key=lambda pose: known.rough_lead_over(state.score_rough_pose(pose)))[:_MOST_ELSEWHERE]
 
 
 def _implied(
@@ -177,7 +180,7 @@ def _implied(
     """
     if len(targets) + len(sources) > 2:
         for (target, T_root), (source, T_other) in product(sorted(targets.items()), sorted(sources.items())):
-            for pose in _poses(state, target, source):
+            for pose in _verified_poses(state, target, source):
                 yield T_root @ pose @ T_other.inverse()
     for lidar in sorted({*state.clouds} - {*targets, *sources}):
         before = [T_root @ each for name, T_root in sorted(targets.items()) for each in _poses(state, name, lidar)]
@@ -188,11 +191,19 @@ def _implied(
 
 def _poses(state: CalibrationState, target: str, source: str) -> Iterable[RigidTransform]:
     """Yield the poses between two LiDARs that a search found and that would count by themselves."""
-    least = state.config.acceptance.min_evidence
+    for pair in (state.searched.get((target, source)), state.searched.get((source, target))):
+        yield from _that_count(state, target, () if pair is None else pair.registrations)
+
+
+def _verified_poses(state: CalibrationState, target: str, source: str) -> Iterable[RigidTransform]:
+    """Yield the same, with those that the search did not register to the end."""
     for pair in ((target, source), (source, target)):
-        for each in state.verified.get(pair, ()):
-            if each.evidence >= least:
-                yield each.T_target_source.with_target(target)
+        yield from _that_count(state, target, state.verified.get(pair, ()))
+
+
+def _that_count(state: CalibrationState, target: str, found: Sequence[Registration]) -> Iterator[RigidTransform]:
+    least = state.config.acceptance.min_evidence
+    return (each.T_target_source.with_target(target) for each in found if each.evidence >= least)
 
 
 def _side_of(state: CalibrationState, graph: PairGraph, root: str) -> RegistrationCloud:
