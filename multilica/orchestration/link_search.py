@@ -149,16 +149,16 @@ class LinkSearch:
         self,
         poses: Mapping[DriveView, RigidTransform],
         known: Collection[frozenset[DriveView]],
-        uncertain: Collection[str],
+        lidars: Collection[str],
     ) -> None:
-        """Register the pairs of views of uncertain LiDARs from their poses, but the known ones, if beams agree."""
+        """Register pairs of views from their poses, those of some LiDARs but the known ones, if beams agree."""
         of_label = self._of_label
         implied: dict[PairKey, RigidTransform] = {}
         for pair in self._between_stops:
             target, source = (of_label[label] for label in pair)
             if frozenset((target, source)) in known or not {target, source} <= poses.keys():
                 continue
-            if target.lidar not in uncertain and source.lidar not in uncertain:
+            if target.lidar not in lidars and source.lidar not in lidars:
                 continue
             if poses[target].target == poses[source].target:
                 implied[pair] = poses[target].inverse() @ poses[source]

@@ -109,7 +109,7 @@ def follow_poses(
     workers: Workers,
     found: FoundLinks,
     poses: Mapping[DriveView, RigidTransform],
-    uncertain: Collection[str],
+    lidars: Collection[str],
     deadline_s: float = float("inf"),
 ) -> FoundLinks:
     """Register views of different stops from the poses that all links tell together, where these are not precise.
@@ -119,7 +119,7 @@ def follow_poses(
     Args:
         found: links that tell the poses.
         poses: of views. Those with the same target have linked stops.
-        uncertain: LiDARs; only their views are registered, with those of any.
+        lidars: only their views are registered, with those of any LiDAR.
 
     Returns:
         All links, those with little evidence among the weak ones.
@@ -127,7 +127,7 @@ def follow_poses(
     search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     known = {link.views for link in found.links}
     try:
-        search.follow_poses(poses, known, uncertain)
+        search.follow_poses(poses, known, lidars)
     finally:
         workers.forget()
     known |= {link.views for link in search.weak.values()}

@@ -20,7 +20,7 @@ from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Reg
 from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
 
-# Groups are registered at so many further poses of a pair, the likeliest ones; each takes a second or two.
+# Groups are registered at so many further poses of a pair, the likeliest ones; six LiDARs take some seconds.
 _MOST_ELSEWHERE = 2
 
 
