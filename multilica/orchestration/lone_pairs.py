@@ -18,7 +18,8 @@ from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct, is_near
 from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Registration, Verdict, connected
 from multilica.results.hypotheses import IMPLIED
-from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
+from multilica.stages.fine import leads_surely
+from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 
 # Groups are registered at so many further poses of a pair, the likeliest ones; six LiDARs take some seconds.
 _MOST_ELSEWHERE = 2
@@ -149,6 +150,8 @@ def _competing(
         return ()
     target, source = (_side_of(state, graph, root) for root in (pair.target, pair.source))
     starts = [Hypothesis(pose) for pose in (pair.T_target_source, *further)]
+    if leads_surely(target, source, starts, state.config):
+        return ()
     found = register_sides(target, source, starts, state.config)
     pose = found.T_target_source.with_target(pair.target)
     if is_distinct(pose, [pair.T_target_source]):

@@ -33,9 +33,10 @@ from multilica.results import (
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
-from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
+from multilica.stages.fine import register_best
 from multilica.stages.verify import VerificationCloud, find_poses_beside, short_gicp, verify_hypotheses
 from multilica.visibility.plans import shifted_poses
+from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,

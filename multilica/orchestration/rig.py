@@ -31,7 +31,7 @@ from multilica.results import (
     connected,
 )
 from multilica.snapshot import Snapshot
-from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
+from multilica.stages.fine import select_finalists
 from multilica.stages.ground import estimate_ground, estimate_level, middle_of
 from multilica.stages.known_poses import known_between, known_in_base
 from multilica.stages.merge import (
@@ -44,6 +44,7 @@ from multilica.stages.merge import (
 from multilica.stages.pair_choice import choose_target
 from multilica.stages.refine import trusted_pairs
 from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
+from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.workers import Shared
 
 # Enough to see where a pair does not meet; `--record full` has all.

@@ -29,7 +29,7 @@ from multilica.results import (
     VisibilityScore,
 )
 from multilica.snapshot import Snapshot
-from multilica.stages.fine import RegistrationCloud
+from multilica.visibility.registration_cloud import RegistrationCloud
 from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
 from multilica.workers import Workers
 

@@ -4,6 +4,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydantic import Field
@@ -32,7 +33,7 @@ class Stability:
     ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
 class Registration:
     """One hypothesis after GICP, with its visibility score.
 
@@ -82,7 +83,10 @@ class Registration:
 
     def lead_over(self, other: "Registration") -> float:
         """Return the log-odds that this pose is the true one and not another registered pose of the pair."""
-        return self.evidence - other.evidence_beside(self)
+        leads = _LEADS.setdefault(self, WeakKeyDictionary())
+        if other not in leads:
+            leads[other] = self.evidence - other.evidence_beside(self)
+        return leads[other]
 
     def rough_lead_over(self, other: "Registration") -> float:
         """Return the same for a pose that is some decimetres from where it would fit best."""
@@ -119,6 +123,10 @@ class Registration:
             "coverage": self.visibility.coverage,
             "violation_share": self.visibility.violation_share,
         }
+
+
+# Leads of poses over others: a search ranks the same poses again for each one that it finds.
+_LEADS: WeakKeyDictionary[Registration, WeakKeyDictionary[Registration, float]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)

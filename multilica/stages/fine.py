@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -13,6 +12,7 @@ from multilica.acceptance.accept import (
     competing_poses,
     is_well_constrained,
     likeliest_first,
+    may_compete,
     min_competing_evidence,
     slides,
     surely_competing,
@@ -20,7 +20,7 @@ from multilica.acceptance.accept import (
 from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, fitness_and_rmse, prepare_gicp_cloud, register
+from multilica.registration.gicp import GicpCloud, fitness_and_rmse, register
 from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_information
 from multilica.registration.poses import arc_between_m, is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.sensor_biases import prior_sigmas
@@ -29,11 +29,11 @@ from multilica.registration.widening import widened, widened_with_biases
 from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.plans import alike_hypotheses
+from multilica.visibility.registration_cloud import RegistrationCloud
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,
-    PlacedView,
     score_registration,
     score_visibility,
 )
@@ -46,41 +46,6 @@ _SLIDE_POSES = 2
 _SAME_END_M = 0.01
 # If the fit to planes moves a known pose by less, GICP would lead to the same pose.
 _UNMOVED_M = 0.01
-# Points per LiDAR with which finalists are compared.
-_FINALIST_POINTS = 10_000
-
-
-@dataclass(frozen=True, eq=False)
-class RegistrationCloud:
-    """One side of a registration: a LiDAR, or a group with known poses.
-
-    Args:
-        cloud: the points of all members in the frame of the LiDAR or of the group's root.
-        views: the members with their poses; empty where verification is off.
-        finalist_gicp: how `thinned` is prepared and registered.
-    """
-
-    cloud: GicpCloud
-    views: tuple[PlacedView, ...]
-    finalist_gicp: FineConfig
-
-    @cached_property
-    def thinned(self) -> GicpCloud:
-        """The cloud with fewer points, enough to compare finalists."""
-        if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
-            return self.cloud
-        return prepare_gicp_cloud(self.cloud.name, self.cloud.points_m, self.finalist_gicp)
-
-
-def prepare_registration_cloud(
-    name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig
-) -> RegistrationCloud:
-    """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
-    fine = config.fine
-    cloud = prepare_gicp_cloud(name, points_m, fine)
-    iterations = min(SHORT_ITERATIONS, fine.max_iterations)
-    finalist_gicp = fine.model_copy(update={"max_points": _FINALIST_POINTS, "max_iterations": iterations})
-    return RegistrationCloud(cloud, tuple(views), finalist_gicp)
 
 
 def register_best(
@@ -111,15 +76,10 @@ def register_best(
     """
     if not target.views:
         return _register_first(target, source, hypotheses[0], config)
-    if len(source.cloud.points_m) > len(target.cloud.points_m):
-        target, source = source, target
-        hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
-    pair = _Pair(target, source, config, fit)
+    pair, hypotheses = _of_narrower_source(target, source, hypotheses, config, fit=fit)
     if is_known and (unmoved := pair.unmoved(hypotheses[0])) is not None:
         return unmoved
     finalists = pair.finalists(hypotheses)
-    if fit and max(len(target.views), len(source.views)) > 1:
-        finalists += pair.alike(finalists[0])
     evidence = finalists[0].evidence
     hopeless = evidence is not None and cannot_be_accepted(evidence, config.acceptance)
     thinned = len(finalists) > 1 or hopeless
@@ -136,6 +96,23 @@ def register_best(
         other = pair.best_of([*registered, *beside], thinned=True)
         return other if found.lead_over(other.registrations[0]) < 0.0 else best
     return best
+
+
+def leads_surely(
+    target: RegistrationCloud, source: RegistrationCloud, hypotheses: Sequence[Hypothesis], config: CalibrationConfig
+) -> bool:
+    """Return whether the first pose stays where it is and surely leads all others after a registration of few points.
+
+    Args:
+        hypotheses: as of `register_best`, of sides with views.
+    """
+    pair, hypotheses = _of_narrower_source(target, source, hypotheses, config, fit=True)
+    registered = pair.register_thinned(pair.finalists(hypotheses))
+    best, *others = likeliest_first([each.registrations[0] for each in registered])
+    stays = not is_distinct(best.T_target_source, [hypotheses[0].T_target_source])
+    limits = config.acceptance
+    counts = not cannot_be_accepted(best.evidence, limits)
+    return stays and counts and not any(may_compete(best, other, limits) for other in others)
 
 
 def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: int) -> list[int]:
@@ -167,6 +144,21 @@ def _register_first(
     return replace(found, hypothesis=first.index)
 
 
+def _of_narrower_source(
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    hypotheses: Sequence[Hypothesis],
+    config: CalibrationConfig,
+    *,
+    fit: bool,
+) -> tuple["_Pair", Sequence[Hypothesis]]:
+    """Return both sides, the one with fewer points as the source, with the hypotheses as poses of that."""
+    if len(source.cloud.points_m) > len(target.cloud.points_m):
+        target, source = source, target
+        hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
+    return _Pair(target, source, config, fit), hypotheses
+
+
 def _bias_sigmas(target: RegistrationCloud, source: RegistrationCloud, config: CalibrationConfig) -> FloatArray:
     return np.concatenate([prior_sigmas(side.cloud.name, config.refine) for side in (target, source)])
 
@@ -189,16 +181,17 @@ class _Pair:
         return self.target.cloud, self.source.cloud
 
     def finalists(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Select the distinct hypotheses that may win."""
+        """Select the distinct hypotheses that may win, and of groups what is like the best of them."""
         distinct: list[Hypothesis] = []
         for hypothesis in hypotheses:
             if is_distinct(hypothesis.T_target_source, [other.T_target_source for other in distinct]):
                 distinct.append(hypothesis)
-        if len(distinct) == 1:
-            return distinct
-        evidence = self._evidence(distinct)
-        kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
-        return [distinct[index] for index in kept]
+        if len(distinct) > 1:
+            evidence = self._evidence(distinct)
+            kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
+            distinct = [distinct[index] for index in kept]
+        of_groups = self.fit and max(len(self.target.views), len(self.source.views)) > 1
+        return distinct + self._alike(distinct[0]) if of_groups else distinct
 
     def _evidence(self, hypotheses: Sequence[Hypothesis]) -> list[float]:
         """Return the evidence of each hypothesis, beside the best where it is not known."""
@@ -214,7 +207,7 @@ class _Pair:
     def _score(self, pose: RigidTransform, tolerances: tuple[float, float] = ROUGH_TOLERANCES) -> VisibilityScore:
         return score_visibility(self.target.views, self.source.views, pose, *tolerances)
 
-    def alike(self, best: Hypothesis) -> list[Hypothesis]:
+    def _alike(self, best: Hypothesis) -> list[Hypothesis]:
         """Return the poses of two groups that may compete with a known one: turned, or shifted where things repeat."""
         acceptance = self.config.acceptance
         known = self._score(best.T_target_source, COMPETING_TOLERANCES)

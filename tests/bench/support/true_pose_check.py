@@ -15,7 +15,8 @@ from multilica.events import CloudPreprocessed, Event, GroupsRegistered, LoopReg
 from multilica.extrinsics import Extrinsics
 from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairRegistration, PreprocessedCloud
-from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
+from multilica.stages.fine import register_best
+from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.visibility.sensor_view import prepare_sensor_view
 
 Members = tuple[str, ...]

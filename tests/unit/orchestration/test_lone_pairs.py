@@ -46,7 +46,7 @@ def _state(pairs, searched=(), rough=(), implied_by=None):
 def doubt(monkeypatch):
     """Doubt pairs with a made registration of groups; returns the undecided pairs, and what was registered."""
 
-    def run(*pairs, verdict=_REPEATS, at=None, **results):
+    def run(*pairs, verdict=_REPEATS, at=None, leads=False, **results):
         asked, seen = [], []
 
         def register(target, source, hypotheses, _):
@@ -59,6 +59,7 @@ def doubt(monkeypatch):
             return {*graph.poses(root)}
 
         monkeypatch.setattr(lone_pairs, "register_sides", register)
+        monkeypatch.setattr(lone_pairs, "leads_surely", lambda _target, _source, starts, _: leads and bool(starts))
         monkeypatch.setattr(lone_pairs, "_side_of", side_of)
         state = _state(pairs, **results)
         state.observe = seen.append
@@ -102,6 +103,10 @@ def test_groups_that_fit_at_no_other_pose_leave_it(doubt, verdict):
     undecided, asked = doubt(*_GROUP, _searched("a", "d"), verdict=verdict)
     assert not undecided
     assert len(asked) == 1
+
+
+def test_groups_whose_pair_surely_leads_are_not_registered(doubt):
+    assert doubt(*_GROUP, _searched("a", "d"), leads=True) == (set(), [])
 
 
 def test_groups_that_fit_better_elsewhere_are_not_joined(doubt):

@@ -13,7 +13,8 @@ from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
 from multilica.registration.stability import perturbed_ends
 from multilica.results import BiasInformation, Hypothesis
 from multilica.stages import fine
-from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
+from multilica.stages.fine import register_best, select_finalists
+from multilica.visibility.registration_cloud import prepare_registration_cloud
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.selection import some_of
 from tests.unit.made_rooms import AISLE, HALL, box, scan

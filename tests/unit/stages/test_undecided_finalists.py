@@ -13,7 +13,8 @@ from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register
 from multilica.results import Hypothesis
 from multilica.stages import fine
-from multilica.stages.fine import prepare_registration_cloud, register_best
+from multilica.stages.fine import leads_surely, register_best
+from multilica.visibility.registration_cloud import prepare_registration_cloud
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import AISLE, AISLE_PERIOD_M, scan
 
@@ -95,3 +96,18 @@ def test_the_pose_that_leads_all_others_is_the_first(sides, monkeypatch):
     found = register_best(*sides, _starts(0, -1, -2), _CONFIG).registrations
     assert len(found) == 3
     assert found[0].evidence == min(each.evidence for each in found)
+
+
+@pytest.mark.parametrize(
+    ("starts", "leads"),
+    [((0,), True), ((0, -1), False), ((0, 40), True), ((40, 0), False)],
+    ids=["alone", "beside an equal pose", "beside a worse pose", "worse"],
+)
+def test_a_pose_that_surely_leads_needs_few_points(sides, registered, starts, leads):
+    assert leads_surely(*sides, _starts(*starts), _CONFIG) is leads
+    assert max(registered) <= 2000
+
+
+def test_a_pose_that_moves_far_leads_nothing(sides):
+    assert leads_surely(*sides, _starts(0, off_m=0.2), _CONFIG)
+    assert not leads_surely(*sides, _starts(0, off_m=0.5), _CONFIG)
