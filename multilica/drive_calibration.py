@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from types import MappingProxyType
 from typing import Literal
 
@@ -18,7 +19,7 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
-from multilica.multi_snapshot.view_solution import solve_views
+from multilica.multi_snapshot.view_solution import solutions_on_plane, solve_views
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
@@ -47,6 +48,8 @@ CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], Snaps
 
 # Few surfaces hold a link with little evidence, and some of its matches are by chance: one was 6 sigma off.
 _WEAKER = 2.0
+# So many solutions of all links are told apart by the beams: each turns some LiDARs by half a turn.
+_MOST_SOLUTIONS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,12 +200,31 @@ def _followed_from_all(
 ) -> FoundLinks:
     """Register views of LiDARs without a pose where all links together put them, with links that no other confirms.
 
-    A wrong link puts views where their beams contradict each other, so the further links confirm the right ones.
+    A wrong link puts views where their beams contradict each other, so the further links confirm the right ones. The
+    headings of few links may have several solutions, half a turn apart: views are then registered where the one puts
+    them that beams agree with.
     """
-    pairs = [*_within(stops), *(link for link in found.links if link.counts)]
-    poses = solve_views(result.target, pairs, ground_pairs(found.levels)).view_poses
+    pairs, grounds = [*_within(stops), *(link for link in found.links if link.counts)], ground_pairs(found.levels)
     unplaced = {each.lidar for each in result.placements if each.T_target_source is None}
-    return follow_poses(stops, config, workers, found, poses, unplaced, deadline_s) if poses else found
+    solutions = [solve_views(result.target, pairs, grounds)]
+    if missing := unplaced - solutions[0].poses.poses.keys():
+        further = solutions_on_plane(result.target, pairs, grounds, config.acceptance.max_baseline_m)
+        solutions = [each for each in further if missing & each.poses.poses.keys()][:_MOST_SOLUTIONS] or solutions
+    followed = [
+        follow_poses(stops, config, workers, found, poses, unplaced, deadline_s)
+        for each in solutions
+        if (poses := each.view_poses)
+    ]
+    if not followed:
+        return found
+    best, *others = sorted(followed, key=_evidence_of, reverse=True)
+    lead = min((_evidence_of(best) - _evidence_of(each) for each in others), default=inf)
+    return best if lead >= config.acceptance.min_log_odds_margin else found
+
+
+def _evidence_of(found: FoundLinks) -> float:
+    """Return the evidence of all links, weak ones too."""
+    return sum(link.registration.evidence for link in (*found.links, *found.weak))
 
 
 def _within(stops: Sequence[DriveStop]) -> list[ViewPair]:

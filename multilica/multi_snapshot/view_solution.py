@@ -9,6 +9,7 @@ import numpy as np
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, rotation_vector
 from multilica.multi_snapshot.pair_equations import LARGEST_RESIDUAL, PairEquations
+from multilica.multi_snapshot.planar_poses import PlanarPoses, planar_poses
 from multilica.registration.poses import is_distinct
 from multilica.registration.view_poses import UNKNOWN, ViewPoses
 from multilica.results import DriveView, LinkedStops, PairRegistration, Verdict, ViewPair
@@ -23,7 +24,7 @@ _ROUGH_FITTING = 0.1
 _LEAST_GAIN, _LEAST_ROUGH_GAIN = 1e-6, 1e-2
 # Headings from which the pose of a LiDAR is sought that no chain of pairs tells.
 _HEADINGS = 8
-# A pose that is found so fits within this, per degree of freedom, and every other one by so much less in all.
+# Poses that no chain tells fit within this, per degree of freedom, and all others are worse by so much in all.
 _FITTING, _LEAD = 9.0, 100.0
 # Places that look alike are farther apart; rotations count as arcs at 10 m.
 _CONFIRMED_M = 0.3
@@ -64,6 +65,11 @@ class ViewSolution:
     def covariance(self) -> FloatArray:
         """(N, N) of the unknowns; what nothing determines is wide."""
         return np.asarray(np.linalg.inv(self.information + _prior(len(self.information))), dtype=np.float64)
+
+    @property
+    def freedom(self) -> int:
+        """Number of equations without that of the unknowns."""
+        return 6 * len(self.pairs) + 3 * len(self.grounds) - self.poses.columns
 
     @property
     def view_poses(self) -> dict[DriveView, RigidTransform]:
@@ -139,7 +145,8 @@ def solve_views(root: str, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair
     """Find the poses of LiDARs and stops that follow from the pairs, relative to the root.
 
     Chains of pairs tell most poses. Two groups of views that no pair connects may still determine each other, as in
-    hand-eye calibration, if the vehicle turns: the pose of such a LiDAR is sought from several headings.
+    hand-eye calibration, if the vehicle turns: then poses follow from all solutions on a plane, if these share them.
+    Without ground in sight, the pose of such a LiDAR is sought from several headings.
 
     Args:
         grounds: pairs of LiDARs that see the same ground.
@@ -153,6 +160,46 @@ def solve_views(root: str, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair
     return solution
 
 
+def solutions_on_plane(
+    root: str, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair], max_baseline_m: float
+) -> list[ViewSolution]:
+    """Find all poses that fit the pairs as well as errors allow, of the LiDARs whose headings follow; the best first.
+
+    Args:
+        max_baseline_m: no two LiDARs of a vehicle are farther apart.
+    """
+    found = []
+    for start in planar_poses(root, pairs, grounds):
+        solution = _fit(_fit(_on_plane(start, pairs, grounds), _ROUGHLY[1]))
+        poses = solution.poses.poses.values()
+        apart_m = max(float(np.linalg.norm(one.xyz_m - other.xyz_m)) for one in poses for other in poses)
+        if solution.freedom > 0 and solution.squared < _FITTING * solution.freedom and apart_m <= max_baseline_m:
+            found.append(solution)
+    return sorted(found, key=lambda each: each.squared)
+
+
+def _on_plane(start: PlanarPoses, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair]) -> ViewSolution:
+    """Return poses on a plane with the pairs of their LiDARs and stops, not fitted yet."""
+    lidars, stops = {*start.poses}, {*start.stops}
+    used = [pair for pair in pairs if pair.registration.lidars <= lidars and (not pair.is_link or pair.stops <= stops)]
+    first = frozenset([*start.stops][:1])
+    free = sorted(name for name in lidars if start.poses[name].target != name)
+    state = ViewPoses(start.poses, start.stops, free, sorted(stops - first))
+    seen = [pair for pair in grounds if pair.registration.lidars <= lidars]
+    return ViewSolution(state, used, first, np.inf, np.zeros((state.columns, state.columns)), seen)
+
+
+def _anchors(lidar: str, views: Sequence[DriveView], known: ViewSolution) -> list[DriveView]:
+    """Return views of LiDARs with a pose, at stops with a view of another LiDAR."""
+    return [
+        DriveView(name, view.stop)
+        for view in views
+        if view.lidar == lidar
+        for name in sorted(known.poses.poses)
+        if DriveView(name, view.stop) in views
+    ]
+
+
 def _next_lidar(
     root: str,
     views: Sequence[DriveView],
@@ -162,38 +209,40 @@ def _next_lidar(
     known: ViewSolution,
 ) -> ViewPair | None:
     """Return the pose on the vehicle of one more LiDAR, as a pair with one that has a pose; None if there is none."""
-    left = sorted({view.lidar for view in views} - known.poses.poses.keys())
-    for lidar in left:
-        anchors = [
-            DriveView(name, view.stop)
-            for view in views
-            if view.lidar == lidar
-            for name in sorted(known.poses.poses)
-            if DriveView(name, view.stop) in views
-        ]
+    left = {view.lidar for view in views} - known.poses.poses.keys()
+    if not left:
+        return None
+    on_plane = solutions_on_plane(root, pairs, grounds, float(UNKNOWN[-1]))
+    if (shared := _shared(views, known, on_plane)) is not None:
+        return shared
+    for lidar in sorted(left - {name for each in on_plane for name in each.poses.poses}):
+        anchors = _anchors(lidar, views, known)
         if not anchors:
             continue
         starts = [_assumed(root, lidar, anchors[0], known, heading) for heading in range(_HEADINGS)]
         near = _fits(lidar, [_started(root, views, pairs, [*assumed, start], grounds) for start in starts])
-        if not near:
-            continue
-        best, *others = sorted(near, key=lambda each: each.squared)
-        poses = [each.poses.poses[lidar] for each in (best, *others) if lidar in each.poses.poses]
-        if len(poses) <= len(others) or len(best.pairs) == len(known.pairs):
-            continue
-        lead = min(
-            (
-                each.squared
-                for each, pose in zip(others, poses[1:], strict=True)
-                if is_distinct(pose, [poses[0]]) and not best.leaves_open(pose)
-            ),
-            default=np.inf,
-        )
-        freedom = 6 * len(best.pairs) + 3 * len(best.grounds) - best.poses.columns
-        if freedom > 0 and best.squared < _FITTING * freedom and lead > best.squared + _LEAD:
-            anchor = anchors[0].lidar
-            pose = best.poses.poses[anchor].inverse() @ best.poses.poses[lidar]
-            return _pseudo(pose, anchors[0].stop)
+        complete = all(lidar in each.poses.poses for each in near)
+        if complete and (shared := _shared(views, known, near)) is not None:
+            return shared
+    return None
+
+
+def _shared(views: Sequence[DriveView], known: ViewSolution, found: Sequence[ViewSolution]) -> ViewPair | None:
+    """Return one more pose that all solutions share, as a pair with a LiDAR that has a pose; None if there is none."""
+    if not found:
+        return None
+    best, *others = sorted(found, key=lambda each: each.squared)
+    if best.freedom <= 0 or best.squared >= _FITTING * best.freedom:
+        return None
+    told = {name for pair in best.pairs for name in pair.registration.lidars}
+    near = [each.poses.poses for each in others if each.squared <= best.squared + _LEAD]
+    for lidar in sorted(told - known.poses.poses.keys()):
+        pose, anchors = best.poses.poses[lidar], _anchors(lidar, views, known)
+        if anchors and all(
+            lidar in poses and (not is_distinct(poses[lidar], [pose]) or best.leaves_open(poses[lidar]))
+            for poses in near
+        ):
+            return _pseudo(best.poses.poses[anchors[0].lidar].inverse() @ pose, anchors[0].stop)
     return None
 
 

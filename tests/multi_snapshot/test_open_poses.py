@@ -160,3 +160,28 @@ def test_all_links_lead_to_further_ones_where_none_confirms_them(monkeypatch):
     drive_calibration._link((), (), CalibrationConfig(), Workers(), list, np.inf)
     assert asked == [(0, {*"ABC"}, {"B"})]
     assert len(joined[-1]) == 7
+
+
+@pytest.mark.parametrize(
+    ("evidence", "adopted"),
+    [((9.0, 1.0), 0), ((1.0, 9.0), 1), ((9.0, 6.0), None), ((3.0, 0.0), None)],
+    ids=["the first", "the second", "both alike", "hardly any"],
+)
+def test_beams_tell_which_solution_of_the_headings_is_right(monkeypatch, evidence, adopted):
+    every = _links("A1-A2")
+    found = [solve_views("A", _links(text)) for text in ("A1-B3 A3-B3 A1-A3 C1-A3", "A1-C2 A2-C2 B1-A2")]
+    further = [
+        replace(link, registration=replace(link.registration, fitness=each))
+        for each, link in zip(evidence, _links("A1-B3 A1-C3"), strict=True)
+    ]
+
+    def follow(_stops, _config, _workers, known, poses, _lidars, _deadline_s):
+        (number,) = (number for number, each in enumerate(found) if each.view_poses.keys() == poses.keys())
+        return replace(known, weak=(further[number],))
+
+    monkeypatch.setattr(drive_calibration, "follow_poses", follow)
+    monkeypatch.setattr(drive_calibration, "solutions_on_plane", lambda *_: found)
+    result = CalibrationResult("A", "made", (LidarPlacement("B", "made"), LidarPlacement("C", "made")))
+    before = FoundLinks(tuple(every))
+    after = drive_calibration._followed_from_all((), CalibrationConfig(), Workers(), before, result, np.inf)
+    assert after.weak == (() if adopted is None else (further[adopted],))
