@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from math import inf
 from types import MappingProxyType
 from typing import Literal
@@ -36,6 +37,7 @@ from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
+from multilica.registration.poses import is_near
 from multilica.registration.widening import loosened
 from multilica.results import CalibrationResult, DriveView, LidarPlacement, TimeLimit, ViewPair
 from multilica.results.registrations import weakest_deviations
@@ -208,8 +210,13 @@ def _followed_from_all(
     unplaced = {each.lidar for each in result.placements if each.T_target_source is None}
     solutions = [solve_views(result.target, pairs, grounds)]
     if missing := unplaced - solutions[0].poses.poses.keys():
-        further = solutions_on_plane(result.target, pairs, grounds, config.acceptance.max_baseline_m)
-        solutions = [each for each in further if missing & each.poses.poses.keys()][:_MOST_SOLUTIONS] or solutions
+        limit_m = config.acceptance.max_baseline_m
+        further = (
+            each
+            for each in solutions_on_plane(result.target, pairs, grounds, limit_m)
+            if missing & each.poses.poses.keys() and all(is_near(pose, limit_m) for pose in each.poses.poses.values())
+        )
+        solutions = [*islice(further, _MOST_SOLUTIONS)] or solutions
     followed = [
         follow_poses(stops, config, workers, found, poses, unplaced, deadline_s)
         for each in solutions

@@ -67,9 +67,25 @@ class ViewSolution:
         return np.asarray(np.linalg.inv(self.information + _prior(len(self.information))), dtype=np.float64)
 
     @property
-    def freedom(self) -> int:
-        """Number of equations without that of the unknowns."""
-        return 6 * len(self.pairs) + 3 * len(self.grounds) - self.poses.columns
+    def fits(self) -> bool:
+        """Whether there are more equations than unknowns, and they fit."""
+        freedom = 6 * len(self.pairs) + 3 * len(self.grounds) - self.poses.columns
+        return freedom > 0 and self.squared < _FITTING * freedom
+
+    def beyond(self, max_baseline_m: float) -> float:
+        """Return the squared residual of the LiDAR that lies farthest beyond a distance from the root; 0 if none does.
+
+        One that lies there only along a direction that hardly anything determines has a small one.
+        """
+        excess = [
+            max(0.0, float(np.linalg.norm(self.poses.poses[name].xyz_m)) - max_baseline_m) for name in self.poses.free
+        ]
+        covariance = self.covariance
+        blocks = (covariance[column : column + 3, column : column + 3] for column in range(3, 6 * len(excess), 6))
+        return max(
+            (each**2 / float(np.linalg.eigvalsh(block)[-1]) for each, block in zip(excess, blocks, strict=True)),
+            default=0.0,
+        )
 
     @property
     def view_poses(self) -> dict[DriveView, RigidTransform]:
@@ -166,16 +182,11 @@ def solutions_on_plane(
     """Find all poses that fit the pairs as well as errors allow, of the LiDARs whose headings follow; the best first.
 
     Args:
-        max_baseline_m: no two LiDARs of a vehicle are farther apart.
+        max_baseline_m: no LiDAR of a vehicle is farther from the root. That one is, also counts as a residual.
     """
-    found = []
-    for start in planar_poses(root, pairs, grounds):
-        solution = _fit(_fit(_on_plane(start, pairs, grounds), _ROUGHLY[1]))
-        poses = solution.poses.poses.values()
-        apart_m = max(float(np.linalg.norm(one.xyz_m - other.xyz_m)) for one in poses for other in poses)
-        if solution.freedom > 0 and solution.squared < _FITTING * solution.freedom and apart_m <= max_baseline_m:
-            found.append(solution)
-    return sorted(found, key=lambda each: each.squared)
+    found = [_fit(_fit(_on_plane(start, pairs, grounds), _ROUGHLY[1])) for start in planar_poses(root, pairs, grounds)]
+    within = [replace(each, squared=each.squared + each.beyond(max_baseline_m)) for each in found]
+    return sorted((each for each in within if each.fits), key=lambda each: each.squared)
 
 
 def _on_plane(start: PlanarPoses, pairs: Sequence[ViewPair], grounds: Sequence[ViewPair]) -> ViewSolution:
@@ -232,7 +243,7 @@ def _shared(views: Sequence[DriveView], known: ViewSolution, found: Sequence[Vie
     if not found:
         return None
     best, *others = sorted(found, key=lambda each: each.squared)
-    if best.freedom <= 0 or best.squared >= _FITTING * best.freedom:
+    if not best.fits:
         return None
     told = {name for pair in best.pairs for name in pair.registration.lidars}
     near = [each.poses.poses for each in others if each.squared <= best.squared + _LEAD]

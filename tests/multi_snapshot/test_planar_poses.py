@@ -80,6 +80,19 @@ def test_positions_that_no_vehicle_has_are_no_solution(drive):
     assert len(solutions_on_plane("A", made, grounds, 0.7 * farthest_m)) < len(every)
 
 
+def test_positions_that_hardly_anything_tells_may_be_nearer(drive):
+    """A turn about one axis tells no position along it: LiDARs that came to lie far up there count as near."""
+    told = solve_views("A", *drive(_FOUR_STOPS))
+    open_upwards = solve_views("A", drive("A1-A2 A2-A3 A1-A3 B1-B2 B2-B3 B1-B3")[0])
+    assert open_upwards.poses.poses.keys() == {*"AB"}
+    up = _UPRIGHT["A"].rotation.T[:, 2]
+    for solution, counts in ((told, True), (open_upwards, False)):
+        poses = {name: moved(pose, np.zeros(3), 20.0 * up) for name, pose in solution.poses.poses.items()}
+        far = replace(solution, poses=replace(solution.poses, poses=poses))
+        assert (far.beyond(15.0) > 100.0) is counts
+        assert far.beyond(25.0) == 0.0
+
+
 def test_a_pose_that_all_solutions_share_is_told(drive):
     made, grounds = drive(_FOUR_STOPS)
     assert _off_m(solve_views("A", made, grounds)) < 0.03
