@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -278,6 +279,16 @@ def _pseudo(pose: RigidTransform, stop: str) -> ViewPair:
     return ViewPair(pair, stop, stop)
 
 
+def _at_each_stop(views: Sequence[DriveView], poses: Mapping[str, RigidTransform]) -> list[ViewPair]:
+    """Return the poses between LiDARs at each stop, as pairs without weight."""
+    placed = sorted((view.stop, view.lidar) for view in views if view.lidar in poses)
+    return [
+        _pseudo(poses[lidar].inverse() @ poses[other], stop)
+        for (stop, lidar), (other_stop, other) in pairwise(placed)
+        if stop == other_stop
+    ]
+
+
 def _started(
     root: str,
     views: Sequence[DriveView],
@@ -287,7 +298,12 @@ def _started(
 ) -> ViewSolution:
     """Return the poses that chains of pairs tell, not fitted yet."""
     graph = ViewGraph.of(views, [*pairs, *assumed])
-    poses = graph.lidar_poses(root)
+    poses, told = graph.lidar_poses(root), 0
+    while told < len(poses):
+        # A chain of LiDARs over several stops tells poses that hold at every stop.
+        told = len(poses)
+        graph = ViewGraph.of(views, [*pairs, *assumed, *_at_each_stop(views, poses)])
+        poses = graph.lidar_poses(root)
     linked = graph.linked_stops(root, [pair for pair in pairs if pair.is_link])
     used = [pair for pair in pairs if not pair.is_link and pair.registration.lidars <= {*poses}] + [*linked.links]
     stops = {name: linked.poses[name] for link in linked.links for name in sorted(link.stops)}

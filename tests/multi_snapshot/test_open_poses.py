@@ -185,3 +185,18 @@ def test_beams_tell_which_solution_of_the_headings_is_right(monkeypatch, evidenc
     before = FoundLinks(tuple(every))
     after = drive_calibration._followed_from_all((), CalibrationConfig(), Workers(), before, result, np.inf)
     assert after.weak == (() if adopted is None else (further[adopted],))
+
+
+def test_a_chain_over_several_stops_links_them_all():
+    """A and C share stop 3, C and B stop 4: so stops 1 and 2, where A and B share no pair, have one motion."""
+    within = [pair("A3", "C3"), pair("B4", "C4")]
+    links = [pair("B1", "B2"), pair("A1", "A3"), pair("A2", "C4")]
+    solution = solve_views("B", [*within, *links])
+    assert solution.poses.poses.keys() == {*"ABC"}
+    assert len(solution.first) == 1
+    for view, pose in solution.view_poses.items():
+        (first,) = solution.first
+        T_first_root = view_pose(DriveView("B", first)).inverse()
+        off = RigidTransform("B", view.lidar, pose.matrix).distance_to(T_first_root @ view_pose(view))
+        assert off == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert not any(solution.is_confirmed(link) for link in links), "there are no more pairs than unknown poses"
