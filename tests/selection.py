@@ -2,7 +2,7 @@
 """Plugin of pytest that chooses the tests of a push; `make nightly` sets MULTILICA_NIGHTLY and runs all.
 
 `@pytest.mark.nightly` is for more cases of tests that each push runs. `@pytest.mark.in_turn` is for expensive ones
-beside them: a push runs an eighth, others than the push before. `@pytest.mark.shows(*paths)` is for tests of pictures
+beside them: a push runs a twelfth, others than the push before. `@pytest.mark.shows(*paths)` is for tests of pictures
 and pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
 """
 
@@ -21,7 +21,7 @@ import pytest
 Case = TypeVar("Case")
 
 ROOT = Path(__file__).parents[1]
-TURNS = 8
+TURNS = 12
 NIGHTLY = os.environ.get("MULTILICA_NIGHTLY", "") not in ("", "0")
 # A change of these could change the outcome of any test.
 COMMON = (

@@ -69,7 +69,7 @@ class ViewSolution:
 
     @property
     def fits(self) -> bool:
-        """Whether there are more equations than unknowns, and they fit."""
+        """True if there are more equations than unknowns, and they fit."""
         freedom = 6 * len(self.pairs) + 3 * len(self.grounds) - self.poses.columns
         return freedom > 0 and self.squared < _FITTING * freedom
 

@@ -96,6 +96,7 @@ def test_a_recording_becomes_a_run_directory(recordings: Path, tmp_path: Path) -
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_snapshots_of_one_rig_give_a_joint_result(recordings: Path, tmp_path: Path) -> None:
     seen: list[events.RunEvent] = []
     given = "first", "alone", "second", "nothing"

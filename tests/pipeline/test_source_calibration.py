@@ -23,6 +23,7 @@ CONFIG = multilica.preset("default").model_copy(
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_path_a_list_and_a_snapshot_are_the_same() -> None:
     sample = find_sample().recording
     snapshot = multilica.read_snapshot(sample, config=CONFIG.ingest)

@@ -21,6 +21,7 @@ def runs(invoke: Invoke, two_lidars: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> None:
     outcome = invoke("diff", *runs)
     assert outcome.code == ExitCode.DIFFERENT

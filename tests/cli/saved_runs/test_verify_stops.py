@@ -61,6 +61,7 @@ def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
     return tmp_path / "drive.mcap"
 
 
+@pytest.mark.in_turn
 def test_the_stops_of_a_log_are_verified(invoke: Invoke, log: Path) -> None:
     outcome = invoke("verify", log, "--calibration", log.with_name("known.toml"), "--frames", "1", "--json")
     assert outcome.code == ExitCode.DIFFERENT

@@ -104,6 +104,7 @@ def test_the_motion_from_stop_to_stop_is_read(tmp_path: Path, monkeypatch: pytes
     assert not second.read_motions()
 
 
+@pytest.mark.in_turn
 def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     assert len(multilica.calibrate(log, config, stops=2).snapshots) == 2

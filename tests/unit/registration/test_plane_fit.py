@@ -120,6 +120,7 @@ def test_few_points_in_common_leave_the_pose():
         assert (found.information, found.biases) == (None, None)
 
 
+@pytest.mark.slow
 def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     off = _nudged([0.16, 0.16, 0.16])

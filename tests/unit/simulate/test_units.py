@@ -281,6 +281,7 @@ def test_a_vehicle_has_the_same_units_in_all_scenes(units_of):
     assert not np.any(_errors(first["left"]) == _errors(first["right"]))
 
 
+@pytest.mark.slow
 def test_a_vehicle_has_the_same_units_in_all_its_logs(units_of):
     """Whatever the place, the time, and a LiDAR that has moved or died."""
     plan = plan_fleet(3, 18, 2)
