@@ -20,7 +20,7 @@ from multilica.multi_snapshot.motions import (
     poses_by_motions,
 )
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
-from multilica.multi_snapshot.view_solution import solve_views
+from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
 from multilica.registration.poses import is_distinct, is_near
 from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
 from multilica.results.registrations import weakest_deviations
@@ -155,7 +155,7 @@ def refine_linked(
             within, left = ([pair for pair in each if spares(knock, pair)] for each in (within, left))
             continue
         linked = solution.linked
-        rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
+        rig = refine(root, _told_poses(root, solution, within), [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
             against = (
@@ -185,6 +185,13 @@ def refine_linked(
         poses_by_motions(root, [*within, *left], agreeing, rig.covariances, grounds),
         tuple(described(each, used=each in agreeing) for each in motions),
     )
+
+
+def _told_poses(root: str, solution: ViewSolution, within: Sequence[ViewPair]) -> dict[str, RigidTransform]:
+    """Return the poses that pairs or links tell: without links, the ground alone tells no position."""
+    poses = solution.poses.poses
+    told = poses.keys() if solution.linked.links else connected(root, [pair.registration for pair in within])
+    return {name: pose for name, pose in poses.items() if name in told}
 
 
 def _refused(links: Sequence[ViewPair], moved: set[DriveView]) -> dict[ViewPair, str]:

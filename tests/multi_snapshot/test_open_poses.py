@@ -200,3 +200,15 @@ def test_a_chain_over_several_stops_links_them_all():
         off = RigidTransform("B", view.lidar, pose.matrix).distance_to(T_first_root @ view_pose(view))
         assert off == pytest.approx((0.0, 0.0), abs=1e-3)
     assert not any(solution.is_confirmed(link) for link in links), "there are no more pairs than unknown poses"
+
+
+@pytest.mark.parametrize("links", ["", "A1-A2"], ids=["none", "one that nothing confirms"])
+def test_without_links_the_ground_places_no_lidar(monkeypatch, links):
+    """B and C share pairs at two stops, A and D at one of them."""
+    monkeypatch.setitem(LIDARS, "D", RigidTransform.from_xyz_rpy("A", "D", [1.0, 1.0, 0.0], [0.0, 0.0, 0.5]))
+    within = dict.fromkeys(STOPS, ())
+    within["stop 1"] = (pair("A1", "D1").registration, pair("B1", "C1").registration)
+    within["stop 2"] = (pair("B2", "C2").registration,)
+    levels = {name: _OVER_GROUND @ pose for name, pose in LIDARS.items()}
+    rig = refine_linked("A", within, _links(links), RefineConfig(), levels=levels).rig
+    assert (rig.poses.keys(), rig.covariances.keys()) == ({*"AD"}, {"D"})
