@@ -9,6 +9,7 @@ import pytest
 
 from multilica.geometry import RigidTransform, rotation_angle_rad
 from multilica.multi_snapshot import planar_poses as module
+from multilica.multi_snapshot import view_solution
 from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.planar_poses import planar_poses
 from multilica.multi_snapshot.view_solution import solutions_on_plane, solve_views
@@ -96,6 +97,22 @@ def test_positions_that_hardly_anything_tells_may_be_nearer(drive):
 def test_a_pose_that_all_solutions_share_is_told(drive):
     made, grounds = drive(_FOUR_STOPS)
     assert _off_m(solve_views("A", made, grounds)) < 0.03
+
+
+def test_a_pose_in_which_solutions_differ_is_not_told(drive, monkeypatch):
+    made, grounds = drive(_FOUR_STOPS)
+    true = solve_views("A", made, grounds)
+    elsewhere = {**true.poses.poses, "C": moved(true.poses.poses["C"], np.zeros(3), np.ones(3))}
+    other = replace(true, poses=replace(true.poses, poses=elsewhere), squared=true.squared + 90.0)
+    told = []
+    monkeypatch.setattr(view_solution, "_pseudo", lambda pose, _: told.append(pose.source))
+    for solutions in ([true, other], [true], [true, replace(other, squared=true.squared + 110.0)]):
+        monkeypatch.setattr(view_solution, "solutions_on_plane", lambda *_, found=solutions: found)
+        monkeypatch.setattr(view_solution, "_fits", lambda *_: [])
+        told.append(len(solutions))
+        known = replace(true, poses=replace(true.poses, poses={name: true.poses.poses[name] for name in "AB"}))
+        view_solution._next_lidar("A", sorted({view for each in made for view in each.views}), made, [], grounds, known)
+    assert told == [2, 1, "C", 2, "C"]
 
 
 @pytest.mark.parametrize(
