@@ -148,6 +148,7 @@ def test_lidars_without_a_covariance_in_the_reference_are_named():
 
 
 @pytest.mark.slow  # a rare outcome takes hundreds of draws
+@pytest.mark.in_turn
 def test_unmoved_lidars_are_found_outside_as_rarely_as_stated():
     rng, sigma_m, flagged = np.random.default_rng(1), 0.025, 0
     reference = with_covariance(sigma_m, 1e-4)

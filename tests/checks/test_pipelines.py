@@ -100,6 +100,7 @@ def run(project: Path, steps: list[str], **variables: str) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("steps", some_of(RECIPES, 1, lambda steps: f"docs/pipelines/{RECIPES[steps]}"))
 def test_each_recipe_passes_and_leaves_its_artifacts(project, steps):
     assert run(project, steps()) == 0
@@ -142,6 +143,7 @@ def checked(project: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_picture_in_the_comment_is_at_an_address(checked):
     code, ran = run_github(checked)
     assert (code, "Comment" in ran) == (0, True)

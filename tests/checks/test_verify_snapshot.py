@@ -39,6 +39,7 @@ def run_without(lidar):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(("shift_m", "verdict"), [(0.0, "within"), (0.05, "outside")])
 def test_an_unplaced_lidar_is_decided_from_its_known_pose(snapshot, shift_m, verdict):
     known = reference("rear", shift_m)

@@ -32,6 +32,7 @@ def drawn(target: str, *lidars: str) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_run_is_exported_in_its_base_frame(invoke: Invoke, two_lidars: Path) -> None:
     rig = drawn("wheels", "left")
     outcome = invoke("calibrate", two_lidars, "--target", "left", "--rig", rig, "--out", "run")

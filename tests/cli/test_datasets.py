@@ -20,6 +20,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_tables_stand_beside_the_published_figures(scene: Path, invoke: Invoke) -> None:
     limits = ("--within-m", "0.05", "--within-deg", "0.5")
     truth = scene.parent / "t.toml"

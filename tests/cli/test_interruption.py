@@ -21,6 +21,7 @@ DELAYS_S = (0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3)
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     ("number", "stage"),
     some_of([(number, stage) for stage in ("preprocess", "fine") for number in (*STOPS, signal.SIGHUP)], 1),

@@ -71,6 +71,7 @@ def test_nothing_is_left_of_a_failed_write(invoke: Invoke, monkeypatch: pytest.M
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_fleet_lies_in_its_folder(invoke: Invoke) -> None:
     small = ("--vehicles", "2", "--logs", "3", "--frames", "1", "--keep-every", "90", "--workers", "1")
     outcome = invoke("simulate", "--fleet", "logs", *small)

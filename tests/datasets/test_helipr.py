@@ -124,6 +124,7 @@ def test_a_lidar_without_poses_is_not_in_the_truth(damaged: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_vehicle_that_drives_all_the_time_is_refused(tmp_path: Path) -> None:
     for poses in (tuple(FOLDERS), ()):
         sequence = write_helipr(tmp_path / f"drive{len(poses)}", with_poses=poses, stops=False)

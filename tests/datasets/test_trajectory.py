@@ -66,6 +66,7 @@ def test_a_gap_is_no_stop() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_scans_tell_standing_from_driving() -> None:
     """At rest for 9 s, then driving: a look every two seconds finds the middle of the first part."""
     parts = [

@@ -16,7 +16,7 @@ import pytest
 from multilica.simulate import simulate_snapshot
 from tests.cli.support import ROOT, Invoke
 from tests.documentation.vehicle import copy_files, lose_a_lidar, write_files
-from tests.selection import NIGHTLY, some_of
+from tests.selection import NIGHTLY, TURNS, some_of
 
 pytestmark = pytest.mark.slow
 
@@ -98,7 +98,7 @@ def reason(command: str) -> str:
 
 RUN = [section for section in sections() if not (section.commands and all(map(reason, section.commands)))]
 README, *OTHERS = RUN
-SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // 8, lambda section: section.page)]
+SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // TURNS, lambda section: section.page)]
 
 
 @pytest.fixture(scope="session")

@@ -37,6 +37,7 @@ def _events(vehicle, lidars=("left",)):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 12, 40])
 @pytest.mark.parametrize(
     "noise", [Noise(), Noise(factors=(1.0, 3.0)), Noise(scene_m=0.003, scene_deg=0.03)], ids=["true", "small", "scenes"]
@@ -47,6 +48,7 @@ def test_a_fleet_at_rest_has_no_event(count, noise):
 
 @pytest.mark.parametrize("depots", [0, 1, 2, 5])
 @pytest.mark.parametrize("count", [4, 12, pytest.param(40, marks=pytest.mark.slow)])
+@pytest.mark.in_turn
 def test_biases_and_new_depots_are_no_event(count, depots):
     noise = Noise(constant=0.25, place=0.6, depots=depots)
     fleet = made_fleet(_rng(count), 8, count, noise=noise, lidars=("left", "rear"))

@@ -48,6 +48,7 @@ def test_a_unit_that_ends_badly_has_its_row(tmp_path, source, reason, words):
     assert row["attempts"] == (3 if reason == "network" else 1)
 
 
+@pytest.mark.in_turn
 def test_a_unit_that_hangs_is_killed(tmp_path):
     run_guarded(request(tmp_path, "fine-1"), LIMITS)  # the libraries are loaded
     summary = run_guarded(request(tmp_path, "hang-1"), replace(LIMITS, time_s=0.5))
@@ -55,6 +56,7 @@ def test_a_unit_that_hangs_is_killed(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["killed-1", "offline-1"])
+@pytest.mark.in_turn
 def test_what_may_pass_is_tried_again(tmp_path, source):
     assert run_guarded(request(tmp_path, source), LIMITS).reason == "stub"
     (row,) = rows(tmp_path)
@@ -92,6 +94,7 @@ def test_each_thread_has_a_process(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["killed-1", "offline-1"])
+@pytest.mark.in_turn
 def test_a_log_is_identified_again_after_what_may_pass(tmp_path, source):
     assert identify_guarded(str(tmp_path / source), LIMITS) == guard.LogIdentity("v7", 7)
 

@@ -27,14 +27,11 @@ from multilica.geometry import RigidTransform
 from multilica.simulate import true_extrinsics
 from tests.fleet.support.buckets import bucket
 from tests.fleet.support.small_fleet import PLAN, link_logs, tables, write_ideal_fleet
-from tests.selection import some_of
 
 pytestmark = pytest.mark.slow
 OPTIONS = FleetOptions(CalibrationConfig(target="left", ingest=IngestConfig(window="auto")), workers=2)
 BROKEN = {log.path for log in PLAN.logs if log.fault}
 COPIES = {log.path for log in PLAN.logs if log.duplicate_of}
-CHOSEN = some_of(("workers", "cluster", "bucket", "kill"), 1)
-OTHER_PUSH = "another push runs it, and make nightly"
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +107,7 @@ def test_the_poses_that_hold_can_be_read(whole):
     assert read_extrinsics(Path(whole.root, path)).members == {"front", "left", "rear", "right"}
 
 
-@pytest.mark.skipif("workers" not in CHOSEN, reason=OTHER_PUSH)
+@pytest.mark.in_turn
 def test_one_vehicle_on_several_workers_has_the_same_tables(whole, fleet, tmp_path):
     (event,) = PLAN.events  # a dead sensor, after which each log is calibrated
     own = [log for log in PLAN.logs if log.vehicle == event.vehicle]
@@ -141,7 +138,7 @@ def killed_workers():
         killer.join()
 
 
-@pytest.mark.skipif("kill" not in CHOSEN, reason=OTHER_PUSH)
+@pytest.mark.in_turn
 def test_a_killed_driver_and_killed_workers_lose_nothing(whole, few, tmp_path):
     store = open_store(tmp_path / "store", create=True)
     command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(few), "--out", store.root]
@@ -182,7 +179,7 @@ def test_a_dask_cluster_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
-@pytest.mark.skipif("cluster" not in CHOSEN, reason=OTHER_PUSH)
+@pytest.mark.in_turn
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     import dask
@@ -205,7 +202,7 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
-@pytest.mark.skipif("bucket" not in CHOSEN, reason=OTHER_PUSH)
+@pytest.mark.in_turn
 def test_a_bucket_holds_the_logs_and_the_store(whole, fleet, tmp_path, monkeypatch):
     logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if not log.dead])
     with bucket(monkeypatch) as address:

@@ -58,6 +58,7 @@ def test_a_calibration_has_all_stops_of_a_log(drive: SimulatedDrive, tmp_path: P
     assert [each["name"] for each in document["snapshots"]] == ["stop_1", "stop_2"]
 
 
+@pytest.mark.in_turn
 def test_poses_are_verified_at_all_stops(drive: SimulatedDrive, tmp_path: Path) -> None:
     row, _ = row_of(log_of_stops(drive), tmp_path, known=known_of(drive))
     assert (row.state, row.placed) == ("verified", 3)
@@ -71,6 +72,7 @@ def test_a_lidar_that_moved_later_is_no_longer_verified(drive: SimulatedDrive, t
 
 
 @pytest.mark.parametrize("frames", [1, 25])
+@pytest.mark.in_turn
 def test_one_stop_is_the_longest_standstill(drive: SimulatedDrive, tmp_path: Path, frames: int) -> None:
     """A log with a single frame has none, and needs no option."""
     log = log_of_stops(drive, frames)

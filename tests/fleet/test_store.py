@@ -23,6 +23,7 @@ LIDAR = LidarRow(KEY, START_NS, "a/b.mcap", "left", "top", "calibrated", "placed
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("place", ["disk", "bucket"])
 def test_rows_come_back_with_the_vehicle_of_their_folder(tmp_path, monkeypatch, place):
     with bucket(monkeypatch) if place == "bucket" else _folder(tmp_path / "store") as address:
@@ -71,6 +72,7 @@ def test_other_readers_read_the_parts(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @given(st.text())
 def test_any_text_of_a_log_is_one_folder_below_the_store(text):
     name = vehicle_name(text)

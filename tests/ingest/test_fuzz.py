@@ -48,6 +48,7 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("kept_bytes", [0, 2500])
 @pytest.mark.parametrize("name", ["zstd.mcap", "plain.mcap", "unindexed.mcap", "unchunked.mcap", "plain.bag"])
 def test_damaged_files_too_large_to_be_kept(

@@ -46,6 +46,7 @@ def write_database(path: Path, script: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("what", some_of(SCHEMAS, 2))
 def test_no_sql_of_a_file_is_run(tmp_path: Path, what: str) -> None:
     write_database(tmp_path / "bomb.db3", SCHEMAS[what])
@@ -57,6 +58,7 @@ def test_no_sql_of_a_file_is_run(tmp_path: Path, what: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_page_that_is_linked_many_times_ends(tmp_path: Path) -> None:
     """Interior pages whose cells all point to the next level: a small file with more rows than atoms."""
     path = tmp_path / "bomb.db3"
@@ -206,6 +208,7 @@ BAG_LINE_BYTES = len(b"#ROSBAG V2.0\n")
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     "name", some_of(["unindexed.mcap", "unchunked.mcap", "zstd.mcap", "plain.bag", "plain.db3"], 2)
 )
@@ -224,6 +227,7 @@ def test_zeros_behind_a_recording_cost_nothing(tmp_path: Path, name: str) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_zeros_that_are_stored_are_skipped_fast(tmp_path: Path) -> None:
     """At 200 MB/s or more, before and behind further records."""
     (tmp_path / "seed").mkdir()

@@ -44,6 +44,7 @@ def notes_of(snapshot: Snapshot) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     ("rig", "scene"),
     some_of([(rig, scene) for rig in ("sides", "edgar", "truck", "helipr", "ring6") for scene in SCENES], 10),

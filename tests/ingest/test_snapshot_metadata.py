@@ -80,6 +80,7 @@ def test_point_files_become_topics(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_calibration_on_the_snapshot_is_that_on_the_log(tmp_path: Path) -> None:
     config = with_overrides(CalibrationConfig(), ["until=refine", "coarse.max_hypotheses=4", "fine.max_finalists=2"])
     config = config.model_copy(

@@ -88,6 +88,7 @@ def _outliers(result):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_more_snapshots_place_the_rig_better():
     """Sigma falls by less than the root of three: a tenth of the errors is the same in all snapshots."""
     alone, joint, sigma = [], [], []

@@ -107,6 +107,7 @@ def test_joint_result_is_replayed_with_its_best_snapshot(tmp_path):
     assert told.placements == joint.placements
 
 
+@pytest.mark.in_turn
 def test_joint_recording_and_report_show_the_decisive_pair(tmp_path):
     runs = [_refusing("garage"), _refusing("parking")]
     joint = join(runs, _CONFIG)

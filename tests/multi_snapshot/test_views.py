@@ -59,6 +59,7 @@ def test_exact_pairs_give_exact_lidars_and_stops(text, root):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_covariance_is_that_of_many_noisy_drives():
     rng = np.random.default_rng(0)
     normalised = []

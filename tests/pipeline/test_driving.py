@@ -52,6 +52,7 @@ def driven(
 
 
 @pytest.mark.parametrize(("scene", "speed_m_s", "turn_deg_s"), some_of(DRIVES, 2))
+@pytest.mark.in_turn
 def test_the_way_and_the_turn_are_right_or_bounds(
     monkeypatch: pytest.MonkeyPatch, scene: str, speed_m_s: float, turn_deg_s: float
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
     assert_true(result, sides().truth)
 
 
+@pytest.mark.in_turn
 def test_a_pose_that_an_earlier_stop_found_is_tested_first():
     result, seen = watched(_half(), earlier=EarlierStops.of([_found()[0]]))
     assert _searched(seen) == []
@@ -100,6 +101,7 @@ def test_a_wrong_pose_of_an_earlier_stop_is_searched():
 
 
 @pytest.mark.parametrize(("priority", "searched"), [(LEAST_PRIORITY - 1.0, 0), (LEAST_PRIORITY, 3)])
+@pytest.mark.in_turn
 def test_a_vain_pair_needs_promise_at_later_stops(priority, searched, monkeypatch):
     monkeypatch.setattr(search, "priority_of", lambda *_: priority)
     monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("reject", (Reason("low_evidence", 0.0, 1.0, "made"),)))
@@ -125,6 +127,7 @@ def test_before_the_fine_stage_all_pairs_are_searched(until):
     assert of(events.PairRegistered, seen) == []
 
 
+@pytest.mark.in_turn
 def test_a_pair_that_the_search_missed_is_registered_as_a_loop(monkeypatch):
     def without_left_and_top(matches, *rest):
         found = find_hypotheses(matches, *rest)
@@ -139,6 +142,7 @@ def test_a_pair_that_the_search_missed_is_registered_as_a_loop(monkeypatch):
 
 
 @pytest.mark.parametrize("further", [False, True])
+@pytest.mark.in_turn
 def test_unconnected_lidars_are_searched_again(monkeypatch, further):
     calls = []
 

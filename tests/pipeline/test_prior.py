@@ -102,6 +102,7 @@ def test_a_wrong_prior_alone_places_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_right_prior_does_not_place_what_shares_no_surface():
     simulation = _rig("blind")
     snapshot = _two("blind", "front_left", "rear")
@@ -114,6 +115,7 @@ def test_a_right_prior_does_not_place_what_shares_no_surface():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_transforms_of_a_recording_are_a_prior():
     snapshot = _two("sides", "left", "top")
     claimed = {pose.source: pose for pose in snapshot.static_transforms}

@@ -172,6 +172,7 @@ def test_an_interrupted_run_keeps_its_recording(recordings: Path, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_stage_is_told_when_it_is_in_the_files(recordings: Path, tmp_path: Path) -> None:
     """Stages that search pairs end together, and are written with the last one."""
     told: list[str] = []

@@ -119,6 +119,7 @@ def test_the_result_document_follows_its_schema(complete):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("until", some_of(STAGES, 4))
 def test_stopping_after_any_stage_gives_a_result(until):
     snapshot = only(sides().snapshot, "left", "top", every=2)
@@ -153,6 +154,7 @@ def test_two_runs_give_the_same_bits():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_beside_a_lidar_without_returns_the_others_are_placed():
     result, _ = watched(sides("dead:left").snapshot)
     assert result.status == "partial"
@@ -164,6 +166,7 @@ def test_beside_a_lidar_without_returns_the_others_are_placed():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_lidars_that_share_nothing_are_not_placed():
     simulation = simulate_snapshot("blind", "garage", 101, frames=1)
     result, seen = watched(only(simulation.snapshot, "front_left", "rear", every=2), "target=front_left")

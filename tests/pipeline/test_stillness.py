@@ -62,6 +62,7 @@ def test_dead_and_dirty_sensors_are_in_the_result() -> None:
 
 
 @pytest.mark.parametrize("disturbances", [(), ("pedestrians",)])
+@pytest.mark.in_turn
 def test_a_standing_vehicle_is_not_refused(disturbances: tuple[str, ...]) -> None:
     assert len(_clouds(_snapshot(*disturbances), CalibrationConfig())) == 3
 
@@ -72,6 +73,7 @@ def test_a_standing_scene_is_kept() -> None:
     assert all(count < 0.01 * snapshot[name].points_count for name, count in dropped.items())
 
 
+@pytest.mark.in_turn
 def test_most_of_the_pedestrians_are_dropped() -> None:
     standing, walked = _snapshot(), _snapshot("pedestrians")
     walking, found = 0, 0

@@ -71,6 +71,7 @@ def test_scored_points_and_competing_pose_are_read_back(runs):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_report_made_anew_tells_the_same(runs):
     anew, first = (
         report_html(contents_of_run(runs["partial"])),

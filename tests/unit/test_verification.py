@@ -78,6 +78,7 @@ def _registered_in(monkeypatch: pytest.MonkeyPatch, known: Extrinsics, pairs: in
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_pairs_for_which_there_is_no_time_are_told(monkeypatch: pytest.MonkeyPatch, truth: Extrinsics) -> None:
     none = _registered_in(monkeypatch, truth, 0)
     assert none.pairs == ()

@@ -97,6 +97,7 @@ def test_a_knock_is_told_whatever_came_before(standing: Snapshot) -> None:
     assert told[-1].time_ns == max(lidar.scans[-1].log_time_ns or lidar.scans[-1].stamp_ns for lidar in standing.lidars)
 
 
+@pytest.mark.in_turn
 def test_a_verdict_is_that_of_verify(standing: Snapshot) -> None:
     (told,), _ = watched([standing])
     known = read_reference(find_sample().truth, {name: name for name in standing.names})

@@ -94,6 +94,7 @@ def test_verify_names_the_lidar_that_moved(invoke: Invoke, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_verify_tells_of_a_lidar_far_away(invoke: Invoke, tmp_path: Path) -> None:
     moved = truth_with(tmp_path / "moved.toml", "front", 4.0)
     outcome = invoke("verify", find_sample().recording, "--calibration", moved)
@@ -102,6 +103,7 @@ def test_verify_tells_of_a_lidar_far_away(invoke: Invoke, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
     truth = truth_with(tmp_path / "truth.toml", "left", 0.5)
     outcome = invoke("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1", "--quiet")
@@ -110,6 +112,7 @@ def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lida
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_reviewed_run_becomes_the_reference(invoke: Invoke, two_lidars: Path) -> None:
     options = "--workers", "1", "--quiet", "--target", "left"
     assert invoke("calibrate", two_lidars, "--out", "run", *options).code == ExitCode.DONE
@@ -138,6 +141,7 @@ def test_a_run_that_places_too_little_is_not_accepted(invoke: Invoke, result: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
     truth = truth_with(tmp_path / "truth.toml")
     for command in (

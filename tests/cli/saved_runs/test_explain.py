@@ -21,6 +21,7 @@ def run_of_a_dead_lidar(invoke: Invoke, two_lidars: Path) -> tuple[Path, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_all_files_of_a_run_explain_the_same_cause(
     run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke, tmp_path: Path
 ) -> None:
@@ -38,6 +39,7 @@ def test_all_files_of_a_run_explain_the_same_cause(
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_explanation_as_json(run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke) -> None:
     run, _ = run_of_a_dead_lidar
     document = json.loads(invoke("explain", run, "--json").out)
@@ -70,6 +72,7 @@ def test_a_refused_snapshot_leaves_what_explains_it(invoke: Invoke, two_lidars: 
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_refused_snapshot_leaves_an_earlier_result_as_it_was(invoke: Invoke, two_lidars: Path) -> None:
     invoke("calibrate", two_lidars, "--out", "run", "--quiet", "--until", "preprocess")
     before = {path.name: path.read_bytes() for path in Path("run").iterdir()}

@@ -28,6 +28,7 @@ def _objects(done):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("table", some_of(["pairs", "matches", "surfaces", "merge", "timings"], 1))
 def test_all_forms_have_the_same_rows(invoke, run, tmp_path, table):
     done = invoke("query", run / "recording.rrd", table)

@@ -59,6 +59,7 @@ def test_without_a_screen_the_way_out_is_named(invoke: Invoke, run: Path, monkey
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_report_is_made_anew_but_never_over_that_of_the_run(invoke: Invoke, run: Path) -> None:
     outcome = invoke("report", run)
     assert_one_sentence(outcome, ExitCode.USAGE)

@@ -51,6 +51,7 @@ def assert_scans_of_the_vehicle(live: TakenSnapshot) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("encoding", ["cdr", "ros1", "protobuf", "json"])
 def test_every_encoding_gives_the_points_that_were_sent(encoding: str) -> None:
     seen: list[tuple[str, int]] = []

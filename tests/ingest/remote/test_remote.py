@@ -97,6 +97,7 @@ def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkey
     assert_a_window_costs_its_chunks(S3File, s3, folder / "long.mcap", monkeypatch)
 
 
+@pytest.mark.in_turn
 def test_inspect_reads_it_too(s3: str) -> None:
     summary = inspect_source(s3, config=WINDOW)
     assert summary.source == s3
@@ -115,6 +116,7 @@ def test_a_bag_in_a_bucket_is_read_as_one(s3: str, folder: Path) -> None:
 
 @pytest.mark.usefixtures("s3")
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_bag_in_a_bucket_is_one_log_of_a_fleet(folder: Path) -> None:
     listed = [
         [log.source for log in find_logs([f"s3://{BUCKET}/{given}"])]

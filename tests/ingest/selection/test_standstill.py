@@ -116,6 +116,7 @@ EVIDENCE = [
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(("view", "tell"), EVIDENCE)
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_the_longest_standstill_is_found(

@@ -85,6 +85,7 @@ def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, l
             assert each.T_target_source.distance_to(truth)[0] < 0.05
 
 
+@pytest.mark.in_turn
 def test_the_motion_from_stop_to_stop_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the times of points as ROS 2 has them, which snapshots leave out."""
     options = {"stops": 2, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}

@@ -22,6 +22,7 @@ SIGNALS = [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.nightl
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("signal_number", SIGNALS, ids=lambda number: number.name)
 def test_finished_stages_of_a_killed_run_can_be_read(tmp_path, signal_number, rerun_rrd):
     command = [sys.executable, str(Path(__file__).parent / "killed_run.py"), str(tmp_path)]

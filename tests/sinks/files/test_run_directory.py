@@ -67,6 +67,7 @@ def test_the_mcap_file_holds_what_the_others_wrote(finished):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_sinks_that_share_a_state_tell_what_each_tells_alone(finished, tmp_path):
     shared, alone = finished, tmp_path
     sinks = (RerunRecording(alone / "recording.rrd"), ResultMcap(alone / "result.mcap"), ResultFiles(alone))

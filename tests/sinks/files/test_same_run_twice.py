@@ -30,6 +30,7 @@ def run(path: Path, snapshot: Snapshot) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_two_runs_are_equal_apart_from_times(snapshot, tmp_path, rerun_rrd):
     first, second = (run(tmp_path / name, snapshot) for name in ("first.rrd", "second.rrd"))
     verdict = rerun_rrd("compare", "--unordered", first, second)

@@ -106,6 +106,7 @@ def _multiplied(event):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_tables_are_read_whole(recordings):
     pairs = read_recorded_table(recordings["partial"], "pairs").to_pylist()
     of_pair = next(row for row in pairs if (row["target"], row["source"]) == ("rear", "top"))
@@ -149,6 +150,7 @@ def cut_off(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("name", some_of(TABLES, 1))
 def test_a_recording_that_was_cut_off_has_the_tables_so_far(cut_off, name):
     rows = read_recorded_table(cut_off, name).num_rows
@@ -164,6 +166,7 @@ def of_an_earlier_version(tmp_path_factory):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("name", some_of(TABLES, 1))
 def test_a_recording_of_an_earlier_version_is_refused(of_an_earlier_version, name):
     with pytest.raises(UnreadableSourceError, match=r"earlier version of multilica wrote it; calibrate again"):

@@ -73,6 +73,7 @@ def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_recording_is_read_under_a_limit_of_memory(recordings):
     """As of `ulimit -v`, which only a privileged process could raise."""
     code = "import sys; from pathlib import Path; from multilica.diagnosis import explain\n"

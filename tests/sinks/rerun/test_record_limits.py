@@ -53,6 +53,7 @@ def test_a_recording_stays_below_its_budget(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("detail", ["full", "normal", "slim"])
 def test_every_detail_keeps_every_decision(tmp_path, rerun_rrd, detail):
     path = record(tmp_path / "run.rrd", "partial", record={"detail": detail})

@@ -153,6 +153,7 @@ def test_a_run_stopped_after_a_stage_has_tabs_up_to_it(tmp_path):
 
 
 @pytest.mark.parametrize("stage", [stage for stage in STAGES if stage not in ("coarse", "refine", "ground")])
+@pytest.mark.in_turn
 def test_a_run_can_stop_after_any_stage(tmp_path, stage):
     recording = Recording(record(tmp_path / "until.rrd", until=stage))
     assert f"stage {stage} finished" in [text for _, _, text in recording.log]

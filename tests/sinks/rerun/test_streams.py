@@ -17,6 +17,7 @@ def threads_and_files():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_runs_leave_no_threads_and_no_open_files(tmp_path):
     counted = []
     for number in range(4):

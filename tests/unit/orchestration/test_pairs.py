@@ -110,6 +110,7 @@ def _asked_for_poses_beside(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
     """A made one, as likely as the pose itself, makes that undecided."""
     asked = _asked_for_poses_beside(monkeypatch)
@@ -157,6 +158,7 @@ def test_a_winner_among_competitors_is_registered_beside_its_own(lidars, monkeyp
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_pair_with_many_competitors_is_told_by_some_of_them(lidars, monkeypatch):
     """If these do not leave it undecided, all its poses are registered."""
     registered = []

@@ -66,6 +66,7 @@ def test_reading_takes_no_viewer_and_no_engine() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_run_until_ingest_takes_no_open3d(tmp_path: Path) -> None:
     arguments = ["calibrate", str(SAMPLE), "--out", str(tmp_path), "--until", "ingest", "--quiet"]
     loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
@@ -89,6 +90,7 @@ def test_open3d_comes_without_its_plots() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("before", ["", "import dash, open3d"])
 def test_the_plots_of_open3d_still_work(before: str) -> None:
     plot = "for _ in range(2): print(len(o3d.visualization.get_plotly_fig([cloud]).data))"
@@ -96,6 +98,7 @@ def test_the_plots_of_open3d_still_work(before: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_verify_takes_no_viewer_and_draws_no_picture(tmp_path: Path) -> None:
     arguments = ["verify", str(thinned_sample(tmp_path)), "--calibration", str(SAMPLE.with_suffix(".truth.toml"))]
     loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")

@@ -183,6 +183,7 @@ def test_the_cost_includes_processes_that_outlive_the_command(tmp_path, monkeypa
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_peer_finds_poses():
     pytest.importorskip("kiss_matcher")
     recording = Path(bench.__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"

@@ -47,6 +47,7 @@ def run(folder: Path, *options: str) -> str:
     return subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True).stdout
 
 
+@pytest.mark.in_turn
 def test_a_slow_test_without_the_mark_fails(tmp_path: Path) -> None:
     output = run(tmp_path, "--fail-slow=0.15", f"--cpu-times={tmp_path / 'times.txt'}")
     failed = re.findall(r"_ test_(\w+) _+\n(.*) takes", output)
@@ -64,6 +65,7 @@ def test_a_slow_test_without_the_mark_fails(tmp_path: Path) -> None:
     assert [float(spent) for spent, _ in times] == sorted((float(spent) for spent, _ in times), reverse=True)
 
 
+@pytest.mark.in_turn
 def test_slow_tests_pass_where_time_does_not_matter(tmp_path: Path) -> None:
     assert "8 passed" in run(tmp_path)
     assert "7 passed, 1 deselected" in run(tmp_path, "-m", "not slow")

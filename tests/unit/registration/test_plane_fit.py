@@ -101,6 +101,7 @@ def test_biases_that_may_be_cost_certainty_only():
     assert np.all(_random_sigma_m(found, _SIGMAS) < _sigma_m(found.information))
 
 
+@pytest.mark.in_turn
 def test_bushes_do_not_pull_the_fit():
     """One side has shifted foliage that fits better elsewhere; planes outweigh it."""
     target, source = _room("t", 0, clutter=6000), _room("s", 1)
@@ -121,6 +122,7 @@ def test_few_points_in_common_leave_the_pose():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     off = _nudged([0.16, 0.16, 0.16])
@@ -142,6 +144,7 @@ def test_more_points_than_wanted_are_thinned_evenly(monkeypatch):
     assert np.trace(_random_covariance(of_fewer)) > 1.7 * np.trace(_random_covariance(of_all))
 
 
+@pytest.mark.in_turn
 def test_rough_surfaces_constrain_a_direction_less():
     smooth, rough = (
         _random_sigma_m(fit_planes(_room("t", 0, roughness), _room("s", 1, roughness), _HERE, _UNBIASED))

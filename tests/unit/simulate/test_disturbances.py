@@ -84,6 +84,7 @@ def test_a_truck_hides_what_is_behind_it():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_pedestrians_move_between_frames():
     clean, walked = both("sides", "parking", "pedestrians", frames=4, sensors="ideal")
     background = cKDTree(clean["top"].points_m)
@@ -111,6 +112,7 @@ def test_nobody_walks_through_the_vehicle(rig):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize(
     ("rig", "sensors"), some_of([("edgar", "ideal"), ("ring6", "ideal"), ("truck", "ideal"), ("ring6", "real")], 1)
 )
@@ -132,6 +134,7 @@ def test_masked_returns_are_those_of_the_vehicle(rig, sensors):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_rain_falls_on_a_vehicle_that_is_masked():
     _, masked = both("sides", "street", "ego_masked")
     _, rainy = both("sides", "street", "ego_masked", "rain")

@@ -111,6 +111,7 @@ def test_a_lidar_is_knocked_from_a_stop_on() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_parked_cars_stand_there_at_some_stops_only(monkeypatch: pytest.MonkeyPatch) -> None:
     still, drive = (driven("front_back", "yard", "turning", parked=count) for count in (0, 3))
     changed = []
@@ -154,6 +155,7 @@ def test_beams_start_where_the_vehicle_is_when_they_are_fired() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("rig", some_of(["corners", "front_back", "narrow4", "trailer"], 1))
 def test_the_vehicle_is_the_same_at_all_stops(rig: str) -> None:
     """Real LiDARs, whose units depend on the vehicle alone, give the same bits again."""

@@ -47,6 +47,7 @@ def test_no_lidar_sits_inside_the_body(rig):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("scene", sorted({*SCENES} - {"fence_field"}))
 def test_scenes_make_room(scene):
     for seed in some_of(range(3), 1):
@@ -59,6 +60,7 @@ def test_scenes_make_room(scene):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("scene", sorted(SCENES))
 def test_room_for_a_car_changes_nothing(scene):
     for seed in some_of(range(5), 1):

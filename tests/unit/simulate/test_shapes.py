@@ -65,6 +65,7 @@ def test_waves_follow_their_steepness():
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
+@pytest.mark.in_turn
 def test_vehicles_stand_clear_of_the_scene(name):
     for seed in range(2):
         scene = SCENES[name](np.random.default_rng(seed))

@@ -60,6 +60,7 @@ def test_same_arguments_give_the_same_bits(rig):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_another_process_gives_the_same_bits():
     program = (
         "from multilica.simulate import simulate_snapshot;"
@@ -117,6 +118,7 @@ def test_flat_surfaces_agree_to_the_range_noise():
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
+@pytest.mark.in_turn
 def test_base_frame_lies_on_the_ground(scene):
     simulation = simulated("sides", scene, 5, "ideal")
     points = np.concatenate([points_in_base(simulation, name) for name in simulation.snapshot.names])

@@ -282,6 +282,7 @@ def test_a_vehicle_has_the_same_units_in_all_scenes(units_of):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_vehicle_has_the_same_units_in_all_its_logs(units_of):
     """Whatever the place, the time, and a LiDAR that has moved or died."""
     plan = plan_fleet(3, 18, 2)

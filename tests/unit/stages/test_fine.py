@@ -157,6 +157,7 @@ def test_hopeless_poses_are_no_finalists(evidence, kept):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_the_stability_is_tested_if_a_pose_competes(sides):
     alone = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     assert (
@@ -209,6 +210,7 @@ def test_a_group_has_no_biases_of_its_own(clouds, sides):
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
     sure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     monkeypatch.setattr(fine, "perturbed_ends", lambda *_: (_near(_TRUTH, (0.03, 0.0, 0.0)), _TRUTH))
@@ -329,6 +331,7 @@ def corridor():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 @pytest.mark.parametrize("along_m", some_of([-1.0, 3.0], 1))
 def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m, monkeypatch):
     start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
@@ -370,6 +373,7 @@ def test_few_points_do_not_lead_to_a_pose_with_less_evidence(corridor, monkeypat
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_groups_have_competing_poses_where_the_scene_repeats():
     """Pillars repeat every 3 m; pairs get such poses before, but groups have fewer of them."""
     clouds = [scan(name, at, AISLE, seed=seed, columns=720) for seed, (name, at) in enumerate(_PLACES)]

@@ -75,6 +75,7 @@ def test_exact_pairs_give_exact_poses_from_a_rough_start():
 
 
 @pytest.mark.slow
+@pytest.mark.in_turn
 def test_loops_lower_the_error_and_the_covariance_covers_it():
     """Here the noise of the pairs is independent; the covariance allows for pairs that have it in common."""
     normalised, direct, joint = [], [], []
