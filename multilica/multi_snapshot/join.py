@@ -297,15 +297,21 @@ class _JointRig:
         of_links = [link.registration for link in self.linked.linked.links]
         pairs = [*(pair for own in self.kept.values() for pair in own), *of_links]
         best = max((pair for pair in pairs if lidar in pair.lidars), key=lambda pair: pair.evidence)
+        covariance = self.rig.covariances[lidar] * np.outer(ratio, ratio)
+        how = _placed_by(len(estimates), len(self.results), linked=bool(of_links))
+        knock = self.linked.possible_knock
+        knocked = knock is not None and knock.matters(lidar, covariance)
+        if knock is not None:
+            covariance = knock.widened(lidar, covariance)
         return place(
             self.rig.poses[lidar],
-            self.rig.covariances[lidar] * np.outer(ratio, ratio),
+            covariance,
             self.limits,
-            _placed_by(len(estimates), len(self.results), linked=bool(of_links)),
+            f"{how}; {knock.text}" if knock is not None and knocked else how,
             repeatability=self.rig.repeatability.get(lidar),
             fitness=best.fitness,
             rmse_m=best.rmse_m,
-            sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
+            sigma_from="snapshots" if knocked or np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
 

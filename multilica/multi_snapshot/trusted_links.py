@@ -11,7 +11,7 @@ from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
-from multilica.multi_snapshot.knocks import find_knock, spares
+from multilica.multi_snapshot.knocks import PossibleKnock, find_knock, find_possible_knock, spares
 from multilica.multi_snapshot.motions import (
     ToldPose,
     agreeing_motions,
@@ -66,6 +66,7 @@ class LinkedRig:
         knocks: LiDARs that moved between stops; the stops on one side of that do not count for them.
         by_motions: poses of LiDARs that only their motions between the stops tell, or but for the ground.
         motions: all that were measured.
+        possible_knock: a motion of a LiDAR between stops that is not certain enough to count as one of `knocks`.
     """
 
     rig: RefinedRig
@@ -76,6 +77,7 @@ class LinkedRig:
     knocks: tuple[Knock, ...]
     by_motions: Mapping[str, ToldPose] = field(default_factory=dict)
     motions: tuple[StopMotion, ...] = ()
+    possible_knock: PossibleKnock | None = None
 
     @property
     def links(self) -> tuple[StopLink, ...]:
@@ -184,6 +186,7 @@ def refine_linked(
         tuple(knocks),
         poses_by_motions(root, [*within, *left], agreeing, rig.covariances, grounds),
         tuple(described(each, used=each in agreeing) for each in motions),
+        find_possible_knock(root, solution, [*pairs]) if left else None,
     )
 
 

@@ -297,6 +297,38 @@ def test_a_knock_about_a_stop_without_views_is_dated_around_it():
     assert knock.left_out == ("stop 3", "stop 4")
 
 
+@pytest.mark.parametrize("lidar", ["A", "B", "C"])
+def test_a_knock_that_chance_may_explain_is_a_possible_one(lidar):
+    found = _refined(list(_knocked(pairs(_EVERY, np.random.default_rng(10)), lidar, {"stop 4"}, 0.008)))
+    assert not found.knocks
+    knock = found.possible_knock
+    assert (knock.lidar, knock.before, knock.after) == (lidar, "stop 3", "stop 4")
+    assert knock.distance_m == pytest.approx(0.008, abs=0.002)
+    moved_m = {name: np.linalg.norm(offset[3:]) for name, offset in knock.offsets.items()}
+    assert 0.004 < max(moved_m.values()) < 0.009
+    assert lidar == "A" or max(moved_m, key=moved_m.get) == lidar
+
+
+@pytest.mark.parametrize("root", ["A", "B"])
+def test_sigma_covers_a_possible_knock(root):
+    other = "B" if root == "A" else "A"
+    links = pairs("A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 A4-B3 B1-B2 B3-B4", np.random.default_rng(10))
+    links = list(_knocked(links, "B", {"stop 4"}, 0.01))
+    found = _refined(links, root)
+    knock = found.possible_knock
+    alone = CalibrationResult("A", "", tuple(LidarPlacement(name, "nothing in common") for name in "AB"))
+    placed = join([SnapshotRun(stop, alone) for stop in STOPS], CalibrationConfig(target=root), links=links)[other]
+    assert placed.reason.endswith(" may have moved by 10 mm between stop 3 and stop 4, which its sigma covers")
+    assert placed.sigma_from == "snapshots"
+    widened = found.rig.covariances[other] + np.outer(knock.offsets[other], knock.offsets[other])
+    np.testing.assert_allclose(placed.covariance, widened, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(100, 104))
+def test_chance_is_no_possible_knock(seed):
+    assert _refined(pairs(_EVERY, np.random.default_rng(seed))).possible_knock is None
+
+
 @pytest.mark.parametrize(("by_m", "is_knock"), [(0.4, True), (0.6, False)])
 def test_a_lidar_that_moved_too_far_was_not_knocked(by_m, is_knock):
     every = list(_knocked(pairs(_EVERY, np.random.default_rng(10)), "B", {"stop 4"}, by_m))
