@@ -29,6 +29,8 @@ _LONG_PLACE = 0.1
 _ROUGH_MARGIN = 2.0
 # The fine registration does not bring poses together that are farther apart, in metres or radians.
 _ELSEWHERE = (1.0, float(np.deg2rad(10.0)))
+# Any distance up to this is usual between two LiDARs of one vehicle.
+_USUAL_BASELINE_M = 6.0
 # Figures of usual true poses, with which those of a refused pose are compared to name its weakness.
 _USUAL_DISTINCTIVE = 400.0
 _USUAL_SHARE = 0.85
@@ -121,7 +123,7 @@ def _elsewhere(roughly: Sequence[Registration]) -> list[Registration]:
 
 def may_compete(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
     """Return whether another roughly registered pose may compete with the first after the fine registration."""
-    return best.lead_over(other) < config.min_log_odds_margin + _ROUGH_MARGIN
+    return best.lead_over(other) < config.min_log_odds_margin + _ROUGH_MARGIN or _repeats(best, other, config)
 
 
 def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> float:
@@ -134,10 +136,30 @@ def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> fl
 
 
 def competing_poses(registrations: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
-    """Select the poses beside the best that are nearly as likely, the likeliest first."""
+    """Select the poses beside the best that are nearly as likely, or that show a repetition, the likeliest first."""
     best, *others = registrations
-    near = [other for other in others if best.lead_over(other) < config.min_log_odds_margin]
+    margin = config.min_log_odds_margin
+    near = [other for other in others if best.lead_over(other) < margin or _repeats(best, other, config)]
     return sorted(near, key=best.lead_over)
+
+
+def _repeats(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
+    """Return whether two poses of the same attitude are both possible, so that what the LiDARs see repeats.
+
+    Evidence counts surfaces that agree. Where these repeat, the pose with the larger common view has more of them, and
+    one that puts both LiDARs at one place has most. Only points in empty space tell the two apart then. Between stops,
+    other links tell.
+    """
+    pose = other.T_target_source
+    metres, radians = best.T_target_source.distance_to(pose)
+    return (
+        metres > 0.0
+        and radians < _SLID_RAD
+        and other.evidence >= config.min_evidence
+        and float(np.linalg.norm(pose.xyz_m)) <= _USUAL_BASELINE_M
+        and other.visibility.contradiction_against(best.visibility) <= 0.0
+        and not best.visibility.between_stops
+    )
 
 
 def slides(found: Stability, config: AcceptanceConfig) -> bool:
@@ -186,6 +208,10 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
     shift_m = other.T_target_source.xyz_m - best.T_target_source.xyz_m
     along_m = float(np.abs(shift_m @ best.visibility.slide_direction))
     lead = best.lead_over(other)
+    if lead >= config.min_log_odds_margin:
+        odds = f"evidence {other.evidence:z.1f}, limit {config.min_evidence:.2g}"
+        text = f"the scene repeats: a pose {metres:.2f} m away is possible too ({odds}), and no beam speaks against it"
+        return Reason("held_by_repetition", other.evidence, config.min_evidence, text, other)
     evidence = f"evidence {other.evidence_beside(best):z.1f} against {best.evidence:z.1f}"
     fits = f"fits as well ({evidence}, required margin {config.min_log_odds_margin:g})"
     if radians < _SLID_RAD and any(each.derivation.startswith(REPEATED) for each in (best, other)):

@@ -80,13 +80,21 @@ def _doubtful_joints(
         members, of_source = connected(pair.target, others), connected(pair.source, others)
         across = [each for each in searched if each.lidars & members and each.lidars & of_source]
         doubt = _little_evidence(pair, across, repeats, state.config.acceptance)
-        if not doubt and len(across) == 1:
+        if not doubt and (len(across) == 1 or _search_repeats(state, members, of_source)):
             key = pair.target, pair.source
             if key not in settled:
                 settled[key] = _competing(state, pair, others)
             doubt = settled[key]
         if doubt:
             yield (across, members, of_source), doubt
+
+
+def _search_repeats(state: CalibrationState, members: set[str], others: set[str]) -> bool:
+    """Return whether a search between two groups left open at which of several repeated places they are."""
+    return any(
+        pair.lidars & members and pair.lidars & others and "held_by_repetition" in pair.verdict.codes
+        for pair in state.searched.values()
+    )
 
 
 def _scene_repeats(state: CalibrationState) -> bool:

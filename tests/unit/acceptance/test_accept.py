@@ -355,7 +355,41 @@ def test_the_pose_that_leads_all_others_is_the_first():
 
 
 def test_a_pose_that_leads_by_facing_points_is_accepted():
-    slid, true = _facing(pose("t", "s", (4.0, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (7.0, 0.0, 0.0)), 80, 700)
+    slid, true = _facing(pose("t", "s", (8.0, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (5.0, 0.0, 0.0)), 80, 700)
     assert _accept(*likeliest_first([slid, true])).accepted
-    few = _facing(pose("t", "s", (7.0, 0.0, 0.0)), 6, 700)
+    few = _facing(pose("t", "s", (5.0, 0.0, 0.0)), 6, 600)
     assert _accept(*likeliest_first([slid, few])).outcome == "undecided"
+
+
+_BESIDE = pose("t", "s", (5.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("beside", "changed", "outcome"),
+    [
+        (_BESIDE, {}, "undecided"),
+        (pose("t", "s", (6.5, 0.0, 0.0)), {}, "accept"),
+        (_ELSEWHERE, {}, "accept"),
+        (_BESIDE, {"distinctive": 50}, "accept"),
+        (_BESIDE, {"violate": 16, "distinctive": 3000}, "accept"),
+    ],
+    ids=["same attitude", "beyond a vehicle", "turned", "too little evidence", "contradicted"],
+)
+def test_a_pose_one_period_on_leaves_it_undecided_whatever_the_lead(beside, changed, outcome):
+    """Where surfaces repeat, both LiDARs at one place have the largest common view."""
+    best, other = _registration(distinctive=4000), _registration(beside, **{"distinctive": 300, **changed})
+    assert best.lead_over(other) > _CONFIG.min_log_odds_margin
+    verdict = _accept(best, other)
+    assert verdict.outcome == outcome
+    if outcome == "undecided":
+        (reason,) = verdict.reasons
+        assert (reason.code, reason.competing) == ("held_by_repetition", other)
+        assert (reason.value, reason.limit) == (other.evidence, _CONFIG.min_evidence)
+        assert "a pose 5.00 m away is possible too (evidence" in reason.text
+
+
+def test_between_stops_other_links_tell_what_repeats():
+    pair = [_registration(distinctive=4000), _registration(_BESIDE, distinctive=300)]
+    assert not _accept(*pair).accepted
+    stops = [replace(each, visibility=replace(each.visibility, between_stops=True)) for each in pair]
+    assert competing_poses(stops, _CONFIG) == []

@@ -140,6 +140,21 @@ def test_what_a_search_between_the_groups_found_is_tested(doubt):
     assert not doubt(*pairs, searched=(undecided,), rough=rough)[1]
 
 
+def test_pairs_beside_a_search_that_left_a_repetition_open_are_tested(doubt):
+    """Two pairs agree on a house, and a third search between their groups found the next one as well."""
+    pairs = linked("a", "b"), linked("b", "c"), linked("a", "d"), linked("b", "d")
+    open_one = replace(_searched("c", "d"), verdict=_REPEATS)
+    elsewhere = [true_pose(name, "c") @ open_one.registrations[1].T_target_source for name in "ab"]
+    rough = *(true_pose(*names) for names in ("ab", "bc", "ad", "bd")), *elsewhere
+    undecided, asked = doubt(*pairs, searched=(open_one,), rough=rough)
+    assert undecided == {"ad", "bd"}
+    ((target, source, *further),) = asked
+    assert (target, source) == ({"a", "b", "c"}, {"d"})
+    assert len(further) == 1
+    found = replace(open_one, verdict=Verdict("undecided"))
+    assert doubt(*pairs, searched=(found,), rough=rough) == (set(), [])
+
+
 def test_two_lidars_are_not_tested_at_what_their_search_found(doubt):
     assert not doubt(linked("a", "d"), searched=(_searched("a", "d"),), rough=(true_pose("a", "d"), _ELSEWHERE))[1]
 
