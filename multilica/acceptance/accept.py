@@ -146,8 +146,8 @@ def competing_poses(registrations: Sequence[Registration], config: AcceptanceCon
 def _repeats(best: Registration, other: Registration, config: AcceptanceConfig) -> bool:
     """Return whether two poses of the same attitude are both possible, so that what the LiDARs see repeats.
 
-    Evidence counts surfaces that agree. Where these repeat, the pose with the larger common view has more of them, and
-    one that puts both LiDARs at one place has most. Only points in empty space tell the two apart then. Between stops,
+    Evidence counts surfaces that agree. If these repeat, the pose with the larger common view has more of them, and one
+    that puts both LiDARs at one place has most. Only points in empty space tell the two apart then. Between stops,
     other links tell.
     """
     pose = other.T_target_source

@@ -375,7 +375,7 @@ _BESIDE = pose("t", "s", (5.0, 0.0, 0.0))
     ],
     ids=["same attitude", "beyond a vehicle", "turned", "too little evidence", "contradicted"],
 )
-def test_a_pose_one_period_on_leaves_it_undecided_whatever_the_lead(beside, changed, outcome):
+def test_a_pose_one_period_on_leaves_it_undecided(beside, changed, outcome):
     """Where surfaces repeat, both LiDARs at one place have the largest common view."""
     best, other = _registration(distinctive=4000), _registration(beside, **{"distinctive": 300, **changed})
     assert best.lead_over(other) > _CONFIG.min_log_odds_margin

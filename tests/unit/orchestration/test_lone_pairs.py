@@ -140,7 +140,7 @@ def test_what_a_search_between_the_groups_found_is_tested(doubt):
     assert not doubt(*pairs, searched=(undecided,), rough=rough)[1]
 
 
-def test_pairs_beside_a_search_that_left_a_repetition_open_are_tested(doubt):
+def test_pairs_beside_an_open_repetition_are_tested(doubt):
     """Two pairs agree on a house, and a third search between their groups found the next one as well."""
     pairs = linked("a", "b"), linked("b", "c"), linked("a", "d"), linked("b", "d")
     open_one = replace(_searched("c", "d"), verdict=_REPEATS)
