@@ -58,7 +58,7 @@ class PossibleKnock:
         """The motion for people."""
         return (
             f"{self.lidar} may have moved by {1e3 * self.distance_m:.0f} mm between {self.before} and {self.after}, "
-            "which its sigma covers"
+            "which sigma covers"
         )
 
 

@@ -141,7 +141,7 @@ def _may_repeat(joins: str, evidence: float, least: float) -> Reason:
 def _elsewhere(pair: PairRegistration, pose: RigidTransform, evidence: float) -> Reason:
     metres, radians = pair.T_target_source.distance_to(pose)
     text = (
-        f"only {pair.source} against {pair.target} joins their groups, which fit better {metres:.2f} m and "
+        f"the groups that {pair.source} against {pair.target} joins fit better {metres:.2f} m and "
         f"{np.rad2deg(radians):.0f} deg away (evidence {evidence:.1f} against {pair.evidence:.1f})"
     )
     return Reason("ambiguous", pair.evidence - evidence, 0.0, text)

@@ -318,7 +318,7 @@ def test_sigma_covers_a_possible_knock(root):
     knock = found.possible_knock
     alone = CalibrationResult("A", "", tuple(LidarPlacement(name, "nothing in common") for name in "AB"))
     placed = join([SnapshotRun(stop, alone) for stop in STOPS], CalibrationConfig(target=root), links=links)[other]
-    assert placed.reason.endswith(" may have moved by 10 mm between stop 3 and stop 4, which its sigma covers")
+    assert placed.reason.endswith(" may have moved by 10 mm between stop 3 and stop 4, which sigma covers")
     assert placed.sigma_from == "snapshots"
     widened = found.rig.covariances[other] + np.outer(knock.offsets[other], knock.offsets[other])
     np.testing.assert_allclose(placed.covariance, widened, atol=1e-9)
