@@ -12,6 +12,7 @@ from multilica.acceptance.accept import (
     is_well_constrained,
     likeliest_first,
     may_be_accepted,
+    may_compete,
     min_competing_evidence,
 )
 from multilica.acceptance.placement import imprecision, place
@@ -371,7 +372,7 @@ _BESIDE = pose("t", "s", (5.0, 0.0, 0.0))
         (pose("t", "s", (6.5, 0.0, 0.0)), {}, "accept"),
         (_ELSEWHERE, {}, "accept"),
         (_BESIDE, {"distinctive": 50}, "accept"),
-        (_BESIDE, {"violate": 16, "distinctive": 3000}, "accept"),
+        (_BESIDE, {"violate": 13, "distinctive": 3000}, "accept"),
     ],
     ids=["same attitude", "beyond a vehicle", "turned", "too little evidence", "contradicted"],
 )
@@ -379,6 +380,8 @@ def test_a_pose_one_period_on_leaves_it_undecided(beside, changed, outcome):
     """Where surfaces repeat, both LiDARs at one place have the largest common view."""
     best, other = _registration(distinctive=4000), _registration(beside, **{"distinctive": 300, **changed})
     assert best.lead_over(other) > _CONFIG.min_log_odds_margin
+    assert (other.evidence > _CONFIG.min_evidence) == (changed != {"distinctive": 50})
+    assert may_compete(best, other, _CONFIG) or outcome == "accept"
     verdict = _accept(best, other)
     assert verdict.outcome == outcome
     if outcome == "undecided":
