@@ -18,12 +18,11 @@ from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import BoolArray, PairRegistration, connected
 from multilica.results.hypotheses import REPEATED
 from multilica.stages.ground import estimate_level
+from multilica.stages.preprocess import MOVING_SHARE
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
 
 _NONE_M = np.empty((0, 3))
-# In places where nothing moves, edges are a quarter of a percent of the returns.
-_MOVING_SHARE = 0.005
 # Margins of log-odds that cars at another place cost a pose.
 _SURE_LEAD = 2.0
 
@@ -115,7 +114,7 @@ def _moving_points(state: CalibrationState, poses: Mapping[str, RigidTransform])
         if lidar.name not in poses:
             continue
         moving_m = state.clouds[lidar.name].dropped_m.get("moving", _NONE_M)
-        if len(moving_m) > _MOVING_SHARE * sum(len(scan.points_m) for scan in lidar.scans):
+        if len(moving_m) > MOVING_SHARE * sum(len(scan.points_m) for scan in lidar.scans):
             found.append(poses[lidar.name].apply(moving_m))
     return np.concatenate(found)
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cleaning of a LiDAR's accumulated returns, and removal of points that move between its frames."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -22,6 +23,8 @@ _SPACING_SAMPLES = 4000
 _SPACING_NEIGHBOUR = 4
 # Bound on time: more frames show little more of what moved.
 _REFERENCE_FRAMES = 10
+# In places where nothing moves, edges are a quarter of a percent of the returns.
+MOVING_SHARE = 0.005
 # With fewer returns than in the point's own frame, the beam that would hit it may be lost.
 _MIN_FILLED = 0.85
 # Three of nine cells: at this density, chance leaves all nine without a return in one frame of forty.
@@ -78,7 +81,7 @@ class _Grid:
         return np.asarray(np.clip(row, 0, self.rows - 1) * self.columns + column)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _FrameImage:
     """Range image of one frame, with its points.
 
@@ -94,6 +97,14 @@ class _FrameImage:
     cells: IndexArray
     nearest_m: FloatArray
     filled: FloatArray
+    shape: tuple[int, int]
+
+    @cached_property
+    def farthest_m(self) -> FloatArray:
+        """Per cell the largest range in the 3 x 3 cells around it; -inf where they are empty."""
+        farthest_of_cell_m = np.full(len(self.filled), -np.inf)
+        np.maximum.at(farthest_of_cell_m, self.cells, self.range_m)
+        return _around(scipy.ndimage.maximum_filter, farthest_of_cell_m.reshape(self.shape))
 
 
 def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
@@ -101,7 +112,9 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
 
     A return has moved if in some other frame all beams around its direction, at least as densely as in its own, pass
     clearly beyond it. Before the sky beams do not return: a return has also moved if no beam around it does in most
-    other frames. That proves nothing of a LiDAR whose frames show different directions.
+    other frames. That proves nothing of a LiDAR whose frames show different directions. If much has moved,
+    returns go as well that lie behind all returns around them in every other frame: no beam passes beyond the farthest
+    place of a car that drives off.
 
     Returns:
         The scans without those returns, and the (K, 3) dropped points.
@@ -112,10 +125,11 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
         return tuple(scans), np.empty((0, 3))
     frames = [_frame(*each, grid) for each in returns]
     references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))
-    moving = [
-        _proven_empty(frame, [frames[other] for other in references if other != index], config.moving_clearance_m)
-        for index, frame in enumerate(frames)
-    ]
+    others = [[frames[other] for other in references if other != index] for index in range(len(frames))]
+    moving = [_proven_empty(*each, config.moving_clearance_m) for each in zip(frames, others, strict=True)]
+    if sum(map(np.count_nonzero, moving)) > MOVING_SHARE * sum(map(len, moving)):
+        hidden = (_hidden(*each, config.moving_clearance_m) for each in zip(frames, others, strict=True))
+        moving = [gone | each for gone, each in zip(moving, hidden, strict=True)]
     dropped = [scan.points_m[gone] for scan, gone in zip(scans, moving, strict=True)]
     kept = tuple(_without(scan, gone) for scan, gone in zip(scans, moving, strict=True))
     return kept, np.concatenate(dropped).astype(np.float64)
@@ -134,6 +148,18 @@ def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], moving_clea
     moving = np.zeros(len(frame.usable), dtype=np.bool_)
     moving[frame.usable] = empty
     return moving
+
+
+def _hidden(frame: _FrameImage, others: Sequence[_FrameImage], moving_clearance_m: float) -> BoolArray:
+    """Return which returns (N,) of a scan lie clearly behind all returns around them in every other frame."""
+    cells = frame.cells
+    dense = _MIN_FILLED * frame.filled[cells]
+    behind = np.ones(len(cells), dtype=np.bool_)
+    for other in others:
+        behind &= (other.farthest_m[cells] < frame.range_m - moving_clearance_m) & (other.filled[cells] >= dense)
+    hidden = np.zeros(len(frame.usable), dtype=np.bool_)
+    hidden[frame.usable] = behind
+    return hidden
 
 
 def _alone(frame: _FrameImage, others: Sequence[_FrameImage]) -> BoolArray:
@@ -175,10 +201,14 @@ def _frame(usable: BoolArray, points_m: FloatArray, range_m: FloatArray, grid: _
     nearest_of_cell_m = np.full(grid.rows * grid.columns, np.inf)
     np.minimum.at(nearest_of_cell_m, cells, range_m)
     image_m = nearest_of_cell_m.reshape(grid.rows, grid.columns)
-    around = ("nearest", "wrap")
-    nearest_m = scipy.ndimage.minimum_filter(image_m, size=3, mode=around)
-    filled = scipy.ndimage.uniform_filter(np.isfinite(image_m).astype(np.float64), size=3, mode=around)
-    return _FrameImage(usable, range_m, cells, nearest_m.ravel(), filled.ravel())
+    nearest_m = _around(scipy.ndimage.minimum_filter, image_m)
+    filled = _around(scipy.ndimage.uniform_filter, np.isfinite(image_m).astype(np.float64))
+    return _FrameImage(usable, range_m, cells, nearest_m, filled, image_m.shape)
+
+
+def _around(filter_image: Callable[..., FloatArray], image: FloatArray) -> FloatArray:
+    """Return a filter's value of the 3 x 3 cells around each cell, in one row."""
+    return filter_image(image, size=3, mode=("nearest", "wrap")).ravel()
 
 
 def _without(scan: Scan, gone: BoolArray) -> Scan:

@@ -158,7 +158,8 @@ def log_dropped_table(scene: RerunScene) -> None:
     meanings = {
         "too_near": f"nearer than {limits.min_range_m:g} m, such as the vehicle's own body (`preprocess.min_range_m`)",
         "too_far": f"farther than {limits.max_range_m:g} m (`preprocess.max_range_m`)",
-        "moving": "moved between frames: beams of other frames pass through its place (`stillness.moving_clearance_m`)",
+        "moving": "moved between frames: beams of other frames pass through its place, or none reaches it "
+        "(`stillness.moving_clearance_m`)",
     }
     listed = "\n".join(f"- `{reason}`: {meanings.get(reason, '')}" for reason in reasons)
     scene.log_document(DROPPED_TABLE, f"# Dropped points\n\n{markdown_table(header, rows)}\n\n{listed}")

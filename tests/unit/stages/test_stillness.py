@@ -143,12 +143,14 @@ def test_a_lidar_alone_needs_more_significance() -> None:
     assert explain_motion({"alone": weak}) != ""
 
 
-def _with_visitor(scan: Scan, azimuth_deg: float) -> tuple[Scan, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Add a person of 20 degrees width 3 m in front of the LiDAR; also return which returns are on the person."""
+def _with_visitor(
+    scan: Scan, azimuth_deg: float, range_m: float = 3.0
+) -> tuple[Scan, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Add a person as wide as 20 degrees at 3 m; also return which returns are on the person."""
     azimuth = np.rad2deg(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
-    on_person = np.abs(azimuth - azimuth_deg) < 10.0
+    on_person = np.abs(azimuth - azimuth_deg) < 10.0 * 3.0 / range_m
     points_m = scan.points_m.copy()
-    points_m[on_person] *= 3.0 / np.linalg.norm(points_m[on_person], axis=1, keepdims=True)
+    points_m[on_person] *= range_m / np.linalg.norm(points_m[on_person], axis=1, keepdims=True)
     return Scan(points_m, intensity=on_person.astype(np.float32), rings=on_person), on_person
 
 
@@ -179,6 +181,17 @@ def test_pedestrians_before_the_sky_are_dropped() -> None:
     )
     assert before > 500
     assert after < 0.1 * before
+
+
+def test_who_walks_away_leaves_nothing_at_the_end() -> None:
+    """No beam passes beyond the farthest place, which the person hides in all other frames."""
+    visited = [
+        _with_visitor(scan, 0.0, range_m) for range_m, scan in zip((3.0, 4.0, 5.0), _drive(_ROOM_M, 0.0), strict=False)
+    ]
+    kept, _ = drop_moving([scan for scan, _ in visited], _CONFIG)
+    assert np.sum(kept[-1].intensity) < 0.1 * np.sum(visited[-1][1])
+    wall = visited[-1][0].intensity == 0.0
+    assert np.count_nonzero(kept[-1].intensity == 0.0) > 0.9 * np.count_nonzero(wall)
 
 
 def test_frames_of_different_directions_prove_nothing() -> None:
