@@ -33,6 +33,10 @@ likelier than a far one, which may be a house or a bay away; see docs/decisions/
 STRAY_SHARE = 0.003
 """Share of points in empty space, of all that agree, that occurs by chance: foliage, glass, moving things."""
 
+STRAY_STRUCTURE_SHARE = 0.05
+"""The same share of structure alone: three times the most at 417 right poses, beyond `MOVED_POINTS`. The ground, which
+agrees at most poses, does not excuse walls and objects that do not."""
+
 MOVED_POINTS = 4
 """Points in empty space that one person causes who moved between the scans: 1.7 m by 0.5 m in patches of 0.5 m. So few
 never decide between two poses."""
@@ -128,7 +132,11 @@ class VisibilityScore:
     @property
     def contradiction(self) -> float:
         """Log-odds that the points in empty space take from the pose, at least 0."""
-        return VIOLATION_WEIGHT * log1p(max(0.0, self.violate - STRAY_SHARE * self.agree))
+        too_many = self.violate - STRAY_SHARE * self.agree
+        if not self.between_stops:
+            of_structure = self.structure_violate - STRAY_STRUCTURE_SHARE * self.structure_agree - MOVED_POINTS
+            too_many = max(too_many, of_structure)
+        return VIOLATION_WEIGHT * log1p(max(0.0, too_many))
 
     def contradiction_against(self, other: "VisibilityScore") -> float:
         """Return the log-odds that points in empty space take from this pose and not from another of the same pair.

@@ -90,6 +90,7 @@ class _FrameImage:
         range_m, cells: (M,) per usable return.
         nearest_m: per cell the smallest range in the 3 x 3 cells around it; inf where they are empty.
         filled: per cell the share of the 3 x 3 cells around it that have a return.
+        shape: rows and columns of the cells.
     """
 
     usable: BoolArray

@@ -22,6 +22,7 @@ from multilica.results.visibility_score import (
     PRIOR_LOG_ODDS,
     STOP_DISTANCE_M,
     STRAY_SHARE,
+    STRAY_STRUCTURE_SHARE,
     VIOLATION_WEIGHT,
     VisibilityScore,
 )
@@ -92,6 +93,17 @@ def test_between_stops_a_distance_says_nothing():
 def test_stray_points_in_empty_space_cost_nothing():
     assert _score(agree=1000, violate=3).contradiction == 0.0
     assert _score(agree=1000, violate=4).contradiction > 0.0
+
+
+def test_the_ground_does_not_excuse_objects_in_empty_space():
+    """Between two rows of equal trees, the turned pose has thousands of points on the ground in common."""
+    trees = {"structure_agree": 20, "structure_violate": 9}
+    too_many = 9 - MOVED_POINTS - STRAY_STRUCTURE_SHARE * 20
+    assert _score(agree=14000, violate=9, **trees).contradiction == pytest.approx(VIOLATION_WEIGHT * log(1 + too_many))
+    assert _score(agree=14000, violate=9, structure_agree=20, structure_violate=5).contradiction == 0.0
+    assert _score(agree=14000, violate=9, structure_agree=200, structure_violate=9).contradiction == 0.0
+    parked = replace(_score(agree=14000, violate=9, **trees), between_stops=True)
+    assert parked.contradiction == 0.0
 
 
 def test_the_evidence_of_a_registration_counts_its_distance():
