@@ -183,15 +183,15 @@ def test_pedestrians_before_the_sky_are_dropped() -> None:
     assert after < 0.1 * before
 
 
-def test_who_walks_away_leaves_nothing_at_the_end() -> None:
+@pytest.mark.parametrize("way_m", [(3.0, 4.0, 5.0), (5.0, 4.0, 3.0)], ids=["away", "towards"])
+def test_who_hides_the_farthest_place_leaves_nothing_there(way_m) -> None:
     """No beam passes beyond the farthest place, which the person hides in all other frames."""
-    visited = [
-        _with_visitor(scan, 0.0, range_m) for range_m, scan in zip((3.0, 4.0, 5.0), _drive(_ROOM_M, 0.0), strict=False)
-    ]
+    scans = _drive(_ROOM_M, 0.0)[: len(way_m)]
+    visited = [_with_visitor(scan, 0.0, range_m) for range_m, scan in zip(way_m, scans, strict=True)]
     kept, _ = drop_moving([scan for scan, _ in visited], _CONFIG)
-    assert np.sum(kept[-1].intensity) < 0.1 * np.sum(visited[-1][1])
-    wall = visited[-1][0].intensity == 0.0
-    assert np.count_nonzero(kept[-1].intensity == 0.0) > 0.9 * np.count_nonzero(wall)
+    for scan, (_, on_person) in zip(kept, visited, strict=True):
+        assert np.sum(scan.intensity) < 0.1 * np.sum(on_person)
+        assert np.count_nonzero(scan.intensity == 0.0) > 0.9 * np.count_nonzero(~on_person)
 
 
 def test_frames_of_different_directions_prove_nothing() -> None:
