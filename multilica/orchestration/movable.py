@@ -11,11 +11,11 @@ from multilica.acceptance.placement import are_contradicted, held_by_movable
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
-from multilica.registration.fixed_pair import without_movable
+from multilica.registration.fixed_pair import PartlyFixedCloud, without_movable
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.movable import MovableCells, find_movable
 from multilica.registration.sensor_biases import prior_sigmas
-from multilica.results import BoolArray, PairRegistration, connected
+from multilica.results import PairRegistration, connected
 from multilica.results.hypotheses import REPEATED
 from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import MOVING_SHARE
@@ -27,17 +27,13 @@ _NONE_M = np.empty((0, 3))
 _SURE_LEAD = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class _FixedRequest:
-    """A pair with the movable cells, and the poses of its LiDARs in their frame."""
+    """A pair to register to fixed objects, with the names under which those of its LiDARs are shared."""
 
     pair: PairRegistration
-    cells: MovableCells
-    poses: Mapping[str, RigidTransform]
-
-    def on_movable(self, lidar: str, points_m: FloatArray) -> BoolArray:
-        """Tell which points (N, 3) of a LiDAR, or of a group in its frame, lie on movable objects."""
-        return self.cells.contain(self.poses[lidar].apply(points_m))
+    target: str
+    source: str
 
 
 def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]) -> RefinedRig:
@@ -126,27 +122,36 @@ def _without_movable(
     cells: Mapping[int, MovableCells],
 ) -> dict[int, PairRegistration]:
     """Return the pairs that movable objects hold as fixed ones do; all by the `id` of the pair."""
-    chosen = [pair for pair in used if pair.information is not None and len(cells[id(pair)].keys)]
-    requests = {
-        id(pair): _FixedRequest(_slim(pair), cells[id(pair)], {name: rig.poses[name] for name in pair.lidars})
-        for pair in chosen
+    chosen = {id(pair): pair for pair in used if pair.information is not None and len(cells[id(pair)].keys)}
+    of_lidars = [key for key in map(id, state.registrations.values()) if key in chosen]
+    requests = [_request(chosen[key], cells[key]) for key in of_lidars]
+    shared = {
+        name: (lidar, cells[key])
+        for key, each in zip(of_lidars, requests, strict=True)
+        for name, lidar in ((each.target, chosen[key].target), (each.source, chosen[key].source))
     }
-    of_lidars = [key for key in map(id, state.registrations.values()) if key in requests]
-    found = dict(zip(of_lidars, state.workers.map(_reduce_pair, [requests[key] for key in of_lidars]), strict=True))
+    for name, (lidar, movable) in shared.items():
+        cloud = state.lidars[lidar].side.cloud
+        state.workers.share(name, _partly_fixed(cloud, rig.poses[lidar], movable, state.config))
+    found = dict(zip(of_lidars, state.workers.map(_reduce_pair, requests), strict=True))
+    state.workers.forget(shared)
     for number, pair in enumerate(used):
-        if id(pair) in requests and id(pair) not in found:
+        if id(pair) in chosen and id(pair) not in found:
             before = used[:number] if pair.bias_information is None else ()
-            target, source = (_merged_cloud(state, name, before) for name in (pair.target, pair.source))
-            found[id(pair)] = _reduced(requests[id(pair)], (target, source), state.config)
+            clouds = [
+                _partly_fixed(_merged_cloud(state, name, before), rig.poses[name], cells[id(pair)], state.config)
+                for name in (pair.target, pair.source)
+            ]
+            found[id(pair)] = _reduced(pair, (clouds[0], clouds[1]), state.config)
     return {
-        id(pair): replace(
+        key: replace(
             pair,
             T_target_source=each.T_target_source,
             information=each.information,
             bias_information=each.bias_information,
         )
-        for pair in chosen
-        if (each := found[id(pair)]) is not None
+        for key, pair in chosen.items()
+        if (each := found[key]) is not None
     }
 
 
@@ -165,17 +170,27 @@ def _show_movable(
             state.observe(events.MovableFound(name, movable_m, len(points_m), moved=name not in single))
 
 
-def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:
+def _request(pair: PairRegistration, cells: MovableCells) -> _FixedRequest:
+    without = "moved" if cells.keys is cells.moved else "movable"
+    return _FixedRequest(_slim(pair), *(f"{name}\0without {without}" for name in (pair.target, pair.source)))
+
+
+def _partly_fixed(
+    cloud: GicpCloud, pose: RigidTransform, cells: MovableCells, config: CalibrationConfig
+) -> PartlyFixedCloud:
+    return PartlyFixedCloud(cloud, ~cells.contain(pose.apply(cloud.points_m)), config.fine)
+
+
+def _reduce_pair(shared: Shared, request: _FixedRequest) -> PairRegistration | None:
     """Register a pair to fixed objects, a task for a worker."""
-    target, source = lidars[request.pair.target], lidars[request.pair.source]
-    return _reduced(request, (target.side.cloud, source.side.cloud), target.config)
+    return _reduced(request.pair, (shared[request.target], shared[request.source]), shared[request.pair.target].config)
 
 
 def _reduced(
-    request: _FixedRequest, clouds: tuple[GicpCloud, GicpCloud], config: CalibrationConfig
+    pair: PairRegistration, clouds: tuple[PartlyFixedCloud, PartlyFixedCloud], config: CalibrationConfig
 ) -> PairRegistration | None:
-    sigmas = [prior_sigmas(name, config.refine) for name in (request.pair.target, request.pair.source)]
-    return without_movable(request.pair, clouds, request.on_movable, config.fine, np.concatenate(sigmas))
+    sigmas = [prior_sigmas(name, config.refine) for name in (pair.target, pair.source)]
+    return without_movable(_slim(pair), clouds, config.fine, np.concatenate(sigmas))
 
 
 def _merged_cloud(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> GicpCloud:

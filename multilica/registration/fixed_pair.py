@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pose and information of a pair without the objects that could have moved between the scans of its LiDARs."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -42,10 +42,33 @@ _TURN = 0.01
 _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
 
 
+@dataclass(frozen=True, eq=False)
+class PartlyFixedCloud:
+    """A LiDAR or a group, and which of its points lie on fixed objects.
+
+    Args:
+        is_fixed: (N,) per point of the cloud.
+    """
+
+    cloud: GicpCloud
+    is_fixed: BoolArray
+    config: FineConfig
+
+    @cached_property
+    def fixed(self) -> GicpCloud:
+        """The cloud of fixed objects alone."""
+        return prepare_gicp_cloud(self.cloud.name, self.cloud.points_m[self.is_fixed], self.config)
+
+    @cached_property
+    def few(self) -> GicpCloud:
+        """Some points of `fixed`, enough to find where a registration ends."""
+        few_points = self.config.model_copy(update={"max_points": _ROUGH_POINTS})
+        return prepare_gicp_cloud(self.cloud.name, self.fixed.points_m, few_points)
+
+
 def without_movable(
     pair: PairRegistration,
-    clouds: tuple[GicpCloud, GicpCloud],
-    on_movable: Callable[[str, FloatArray], BoolArray],
+    clouds: tuple[PartlyFixedCloud, PartlyFixedCloud],
     config: FineConfig,
     bias_sigmas: FloatArray,
 ) -> PairRegistration | None:
@@ -57,20 +80,15 @@ def without_movable(
 
     Args:
         clouds: of target and source.
-        on_movable: tells which points (N, 3) in the frame of a LiDAR or group lie on movable objects.
         bias_sigmas: as for `fit_planes`.
     """
-    target, source = clouds
-    fixed = ~on_movable(pair.target, target.points_m), ~on_movable(pair.source, source.points_m)
-    share, direction = _movable_share(pair, clouds, fixed)
+    share, direction = _movable_share(pair, clouds)
     if pair.information is None or share < _LEAST_SHARE:
         return None
     nothing = replace(pair, information=_NOTHING_LEFT * pair.information, bias_information=None)
-    if min(np.count_nonzero(each) for each in fixed) < _MIN_MATCHES:
+    if min(np.count_nonzero(each.is_fixed) for each in clouds) < _MIN_MATCHES:
         return _free(nothing)
-    target, source = (
-        prepare_gicp_cloud(each.name, each.points_m[kept], config) for each, kept in zip(clouds, fixed, strict=True)
-    )
+    target, source = (each.fixed for each in clouds)
     first = register(target, source, pair.T_target_source, config)
     fit = fit_planes(target, source, first.T_target_source, bias_sigmas)
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
@@ -78,7 +96,7 @@ def without_movable(
     of_biases = None if pair.bias_information is None else fit.biases
     found = replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases)
     if share >= _HELD_SHARE and _sigma_along(fit.information, direction) < _FREE_M:
-        other = _other_end(target, source, pair.T_target_source, first, direction, config)
+        other = _other_end(target, clouds[1], pair.T_target_source, first, direction, config)
         if other is not None:
             off = other.offset_from(fit.pose) / _SCALE
             found = _widened(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
@@ -87,7 +105,7 @@ def without_movable(
 
 def _other_end(
     target: GicpCloud,
-    source: GicpCloud,
+    source: PartlyFixedCloud,
     pose: RigidTransform,
     first: PairRegistration,
     direction: FloatArray,
@@ -104,12 +122,11 @@ def _other_end(
         direction: (6,) that movable objects hold, as arcs at 10 m.
     """
     rough = config.model_copy(update=dict.fromkeys(("translation_epsilon_m", "rotation_epsilon_rad"), _ROUGH_STEP))
-    some = prepare_gicp_cloud(source.name, source.points_m, config.model_copy(update={"max_points": _ROUGH_POINTS}))
     for metres in (side * step_m for step_m in _STEPS_M for side in (1.0, -1.0)):
         start = moved(pose, *np.split(metres * _SCALE * direction, 2))
-        end = register(target, some, start, rough).T_target_source
+        end = register(target, source.few, start, rough).T_target_source
         if is_distinct(end, [first.T_target_source]):
-            fitness, *_ = fitness_and_rmse(target, source, end, config.fitness_distance_m)
+            fitness, *_ = fitness_and_rmse(target, source.fixed, end, config.fitness_distance_m)
             if fitness > (1.0 - _ALIKE) * first.fitness:
                 return end
     return None
@@ -122,19 +139,19 @@ def _sigma_along(information: FloatArray, direction: FloatArray) -> float:
 
 
 def _movable_share(
-    pair: PairRegistration, clouds: tuple[GicpCloud, GicpCloud], fixed: tuple[BoolArray, BoolArray]
+    pair: PairRegistration, clouds: tuple[PartlyFixedCloud, PartlyFixedCloud]
 ) -> tuple[float, FloatArray]:
     """Return the largest share of the information that movable objects give, and its direction (6,) as arcs at 10 m.
 
     The information is measured with the normals of both clouds, once each: their noise, which alone would hold a pose
     along a plane, then averages out.
     """
-    (target, source), pose = clouds, pair.T_target_source
+    (target, source), pose = (each.cloud for each in clouds), pair.T_target_source
     rows = np.arange(0, len(source.points_m), max(1, len(source.points_m) // _SAMPLE))
     near, distance_m, index = target.tree.nearest_within(pose.apply(source.points_m[rows]), _DISTANCE_M)
     within = distance_m <= _DISTANCE_M
     rows, index = rows[near[within]], index[within]
-    is_fixed = fixed[0][index] & fixed[1][rows]
+    is_fixed = clouds[0].is_fixed[index] & clouds[1].is_fixed[rows]
     if len(rows) < _MIN_MATCHES or np.all(is_fixed):
         return 0.0, np.zeros(6)
     of_target, of_source = target.points_m[index], source.points_m[rows]

@@ -7,7 +7,7 @@ import pytest
 from multilica.acceptance.placement import are_contradicted, held_by_movable, place
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.fixed_pair import without_movable
+from multilica.registration.fixed_pair import PartlyFixedCloud, without_movable
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import fit_planes
 from multilica.registration.sensor_biases import prior_sigmas
@@ -51,6 +51,10 @@ def _on_car(_lidar, points_m):
     return (np.abs(x_m - 7.2) < 2.5) & (np.abs(y_m - 2.9) < 1.2) & (z_m > -1.85)
 
 
+def _partly_fixed(*clouds, on_movable=_on_car):
+    return tuple(PartlyFixedCloud(each, ~on_movable(each.name, each.points_m), FineConfig()) for each in clouds)
+
+
 def _registered(*, crossed):
     target, source = (_road(name, seed, crossed=crossed) for name, seed in (("t", 1), ("s", 2)))
     fit = fit_planes(target, source, _HERE, _SIGMAS)
@@ -61,7 +65,7 @@ def _registered(*, crossed):
 def _fixed_pair(*, crossed):
     """The pair by all points, and by those on fixed objects."""
     pair, clouds = _registered(crossed=crossed)
-    return pair, without_movable(pair, clouds, _on_car, FineConfig(), _SIGMAS)
+    return pair, without_movable(pair, _partly_fixed(*clouds), FineConfig(), _SIGMAS)
 
 
 @pytest.fixture
@@ -122,7 +126,7 @@ def test_a_car_that_moved_does_not_choose_the_pose():
     followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-0.1, 0.0, 0.0]))
     fit = fit_planes(target, source, followed, _SIGMAS)
     pair = PairRegistration("t", "s", followed, 1.0, 0.0, 100, None, 1, "made", information=fit.information)
-    fixed = without_movable(pair, (target, source), _on_car, FineConfig(), _SIGMAS)
+    fixed = without_movable(pair, _partly_fixed(target, source), FineConfig(), _SIGMAS)
     assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
 
 
@@ -133,13 +137,12 @@ def test_posts_that_repeat_hold_no_pose_that_a_car_chose(points_per_start):
     followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-2.0, 0.0, 0.0]))
     fit = fit_planes(target, source, followed, _SIGMAS)
     pair = PairRegistration("t", "s", followed, 1.0, 0.0, 100, None, 1, "made", information=fit.information)
-    fixed = without_movable(
-        pair,
-        (target, source),
-        lambda lidar, points_m: _on_car(lidar, points_m - [2.0 * (lidar == "s"), 0.0, 0.0]),
-        FineConfig(),
-        _SIGMAS,
-    )
+
+    def on_movable(lidar, points_m):
+        return _on_car(lidar, points_m - [2.0 * (lidar == "s"), 0.0, 0.0])
+
+    clouds = _partly_fixed(target, source, on_movable=on_movable)
+    fixed = without_movable(pair, clouds, FineConfig(), _SIGMAS)
     assert np.sqrt(_covariance(fixed)[3, 3]) > 1.0
     assert np.all(np.sqrt(np.diag(_covariance(fixed))[4:]) < 0.1)
     assert points_per_start[0] > 4000 >= max(points_per_start[1:])
@@ -153,7 +156,8 @@ def test_a_pose_that_is_free_anyway_is_registered_once(points_per_start):
 
 def test_without_fixed_points_no_direction_is_held():
     pair, clouds = _registered(crossed=False)
-    fixed = without_movable(pair, clouds, lambda _, points_m: np.ones(len(points_m), dtype=bool), FineConfig(), _SIGMAS)
+    clouds = _partly_fixed(*clouds, on_movable=lambda _, points_m: np.ones(len(points_m), dtype=bool))
+    fixed = without_movable(pair, clouds, FineConfig(), _SIGMAS)
     assert np.sqrt(np.diag(_covariance(fixed))[3:]).min() > 3.0 / np.sqrt(3.0)
 
 
@@ -166,10 +170,8 @@ def test_objects_moved_if_fixed_ones_contradict_a_pose(off_m, expected):
 
 def test_without_movable_objects_nothing_changes():
     pair, clouds = _registered(crossed=True)
-    nothing = without_movable(
-        pair, clouds, lambda _, points_m: np.zeros(len(points_m), dtype=bool), FineConfig(), _SIGMAS
-    )
-    assert nothing is None
+    clouds = _partly_fixed(*clouds, on_movable=lambda _, points_m: np.zeros(len(points_m), dtype=bool))
+    assert without_movable(pair, clouds, FineConfig(), _SIGMAS) is None
 
 
 @pytest.mark.parametrize(("by_all_m", "fixed_m"), [(0.003, 0.015), (0.03, 0.035)], ids=["precise", "hardly worse"])
