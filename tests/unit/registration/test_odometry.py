@@ -57,6 +57,7 @@ def _followed(scans):
     return odometer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("timed", "limit_m", "limit_deg"), [(True, 0.06, 0.1), (False, 0.2, 1.0)])
 def test_odometry_follows_a_turn(timed, limit_m, limit_deg):
     odometer = _followed(_scans(timed=timed))
