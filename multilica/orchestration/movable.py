@@ -190,7 +190,7 @@ def _reduced(
     pair: PairRegistration, clouds: tuple[PartlyFixedCloud, PartlyFixedCloud], config: CalibrationConfig
 ) -> PairRegistration | None:
     sigmas = [prior_sigmas(name, config.refine) for name in (pair.target, pair.source)]
-    return without_movable(_slim(pair), clouds, config.fine, np.concatenate(sigmas))
+    return without_movable(pair, clouds, np.concatenate(sigmas))
 
 
 def _merged_cloud(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> GicpCloud:

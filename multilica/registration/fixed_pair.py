@@ -48,6 +48,7 @@ class PartlyFixedCloud:
 
     Args:
         is_fixed: (N,) per point of the cloud.
+        config: of all registrations; the same for both clouds of a pair.
     """
 
     cloud: GicpCloud
@@ -69,7 +70,6 @@ class PartlyFixedCloud:
 def without_movable(
     pair: PairRegistration,
     clouds: tuple[PartlyFixedCloud, PartlyFixedCloud],
-    config: FineConfig,
     bias_sigmas: FloatArray,
 ) -> PairRegistration | None:
     """Register a pair to fixed objects only; None if movable ones hold little of its pose.
@@ -88,7 +88,7 @@ def without_movable(
     nothing = replace(pair, information=_NOTHING_LEFT * pair.information, bias_information=None)
     if min(np.count_nonzero(each.is_fixed) for each in clouds) < _MIN_MATCHES:
         return _free(nothing)
-    target, source = (each.fixed for each in clouds)
+    (target, source), config = (each.fixed for each in clouds), clouds[0].config
     first = register(target, source, pair.T_target_source, config)
     fit = fit_planes(target, source, first.T_target_source, bias_sigmas)
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:

@@ -34,7 +34,7 @@ STRAY_SHARE = 0.003
 """Share of points in empty space, of all that agree, that occurs by chance: foliage, glass, moving things."""
 
 STRAY_STRUCTURE_SHARE = 0.05
-"""The same share of structure alone: three times the most at 417 right poses, beyond `MOVED_POINTS`. The ground, which
+"""The same share of structure alone, beyond `MOVED_POINTS`: three times the most of 417 right poses. The ground, which
 agrees at most poses, does not excuse walls and objects that do not."""
 
 MOVED_POINTS = 4

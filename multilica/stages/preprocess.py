@@ -113,9 +113,9 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
 
     A return has moved if in some other frame all beams around its direction, at least as densely as in its own, pass
     clearly beyond it. Before the sky beams do not return: a return has also moved if no beam around it does in most
-    other frames. That proves nothing of a LiDAR whose frames show different directions. If much has moved,
-    returns go as well that lie behind all returns around them in every other frame: no beam passes beyond the farthest
-    place of a car that drives off.
+    other frames. That proves nothing of a LiDAR whose frames show different directions. If much has moved, returns go
+    as well that lie behind all returns around them in every other frame: no beam passes beyond the farthest place of a
+    car that drives off.
 
     Returns:
         The scans without those returns, and the (K, 3) dropped points.

@@ -77,3 +77,14 @@ def test_the_shift_widens_what_moved_objects_hold(monkeypatch, sigma_m, is_held)
     widened = np.zeros((6, 6))
     widened[3, 3] = 0.1**2 if is_held else 0.0
     np.testing.assert_allclose(found.covariances["s"], of_fixed + widened, atol=1e-9)
+
+
+def test_what_moved_and_what_can_move_are_left_out_apart():
+    """The pairs of one LiDAR share what is fixed of it, unless only the others have several frames."""
+    cells, known = MovableCells(np.eye(3), np.array([1, 2]), np.array([1])), pair(_POSES["s"])
+    of_movable, of_moved, again = (
+        {each.target, each.source}
+        for each in (movable._request(known, of) for of in (cells, cells.of_moved, cells.of_moved))
+    )
+    assert of_moved == again
+    assert of_moved.isdisjoint(of_movable)

@@ -65,7 +65,7 @@ def _registered(*, crossed):
 def _fixed_pair(*, crossed):
     """The pair by all points, and by those on fixed objects."""
     pair, clouds = _registered(crossed=crossed)
-    return pair, without_movable(pair, _partly_fixed(*clouds), FineConfig(), _SIGMAS)
+    return pair, without_movable(pair, _partly_fixed(*clouds), _SIGMAS)
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_car_that_moved_does_not_choose_the_pose():
     followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-0.1, 0.0, 0.0]))
     fit = fit_planes(target, source, followed, _SIGMAS)
     pair = PairRegistration("t", "s", followed, 1.0, 0.0, 100, None, 1, "made", information=fit.information)
-    fixed = without_movable(pair, _partly_fixed(target, source), FineConfig(), _SIGMAS)
+    fixed = without_movable(pair, _partly_fixed(target, source), _SIGMAS)
     assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
 
 
@@ -142,7 +142,7 @@ def test_posts_that_repeat_hold_no_pose_that_a_car_chose(points_per_start):
         return _on_car(lidar, points_m - [2.0 * (lidar == "s"), 0.0, 0.0])
 
     clouds = _partly_fixed(target, source, on_movable=on_movable)
-    fixed = without_movable(pair, clouds, FineConfig(), _SIGMAS)
+    fixed = without_movable(pair, clouds, _SIGMAS)
     assert np.sqrt(_covariance(fixed)[3, 3]) > 1.0
     assert np.all(np.sqrt(np.diag(_covariance(fixed))[4:]) < 0.1)
     assert points_per_start[0] > 4000 >= max(points_per_start[1:])
@@ -157,7 +157,7 @@ def test_a_pose_that_is_free_anyway_is_registered_once(points_per_start):
 def test_without_fixed_points_no_direction_is_held():
     pair, clouds = _registered(crossed=False)
     clouds = _partly_fixed(*clouds, on_movable=lambda _, points_m: np.ones(len(points_m), dtype=bool))
-    fixed = without_movable(pair, clouds, FineConfig(), _SIGMAS)
+    fixed = without_movable(pair, clouds, _SIGMAS)
     assert np.sqrt(np.diag(_covariance(fixed))[3:]).min() > 3.0 / np.sqrt(3.0)
 
 
@@ -171,7 +171,7 @@ def test_objects_moved_if_fixed_ones_contradict_a_pose(off_m, expected):
 def test_without_movable_objects_nothing_changes():
     pair, clouds = _registered(crossed=True)
     clouds = _partly_fixed(*clouds, on_movable=lambda _, points_m: np.zeros(len(points_m), dtype=bool))
-    assert without_movable(pair, clouds, FineConfig(), _SIGMAS) is None
+    assert without_movable(pair, clouds, _SIGMAS) is None
 
 
 @pytest.mark.parametrize(("by_all_m", "fixed_m"), [(0.003, 0.015), (0.03, 0.035)], ids=["precise", "hardly worse"])

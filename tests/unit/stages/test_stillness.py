@@ -194,6 +194,18 @@ def test_who_hides_the_farthest_place_leaves_nothing_there(way_m) -> None:
         assert np.count_nonzero(scan.intensity == 0.0) > 0.9 * np.count_nonzero(~on_person)
 
 
+def test_what_one_frame_alone_shows_is_not_hidden() -> None:
+    """Somebody walks off ahead, and only the last frame has returns from behind the LiDAR."""
+    visited = [
+        _with_visitor(scan, 0.0, range_m)[0]
+        for range_m, scan in zip((3.0, 4.0, 5.0), _drive(_ROOM_M, 0.0)[:3], strict=True)
+    ]
+    scans = [*(scan.selected(scan.points_m[:, 0] > 0.0) for scan in visited[:2]), visited[2]]
+    kept, _ = drop_moving(scans, _CONFIG)
+    behind, left = (np.count_nonzero(scan.points_m[:, 0] < -0.5) for scan in (scans[2], kept[2]))
+    assert left > 0.98 * behind
+
+
 def test_frames_of_different_directions_prove_nothing() -> None:
     halves = [
         scan.selected((scan.points_m[:, 1] > 0.0) == (frame % 2 == 0))
