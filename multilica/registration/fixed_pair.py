@@ -22,7 +22,8 @@ _NOISE_M = 0.03
 
 # With a smaller share of the information, moved objects are outliers of the fit by all points.
 _LEAST_SHARE = 0.1
-# With a larger one, where they were in the other scan is sought too: in steps that a registration bridges.
+# With a larger one, fixed objects need not agree with the pose: GICP finds where they do. Where the movable ones were in
+# the other scan is sought too, in steps that a registration bridges.
 _HELD_SHARE = 0.5
 _STEPS_M = (0.75, 1.5, 2.25, 3.0)
 # Poses whose shares of matched points differ by less fit as well.
@@ -74,9 +75,9 @@ def without_movable(
 ) -> PairRegistration | None:
     """Register a pair to fixed objects only; None if movable ones hold little of its pose.
 
-    The registration begins anew: the fit by all points drops matches that contradict it, which are those of the fixed
-    objects where movable ones chose the pose. In directions that fixed objects leave free, the pose may be off by the
-    motion of a car.
+    Where movable objects hold most of it, the registration begins anew: the fit by all points drops matches that
+    contradict it, which are those of the fixed objects if the movable ones moved. In directions that fixed objects
+    leave free, the pose may be off by the motion of a car.
 
     Args:
         clouds: of target and source.
@@ -89,7 +90,7 @@ def without_movable(
     if min(np.count_nonzero(each.is_fixed) for each in clouds) < _MIN_MATCHES:
         return _free(nothing)
     (target, source), config = (each.fixed for each in clouds), clouds[0].config
-    first = register(target, source, pair.T_target_source, config)
+    first = register(target, source, pair.T_target_source, config) if share >= _HELD_SHARE else pair
     fit = fit_planes(target, source, first.T_target_source, bias_sigmas)
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
         return _free(nothing)

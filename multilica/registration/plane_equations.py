@@ -58,9 +58,14 @@ class PlaneEquations:
             shape=(matches, self._starts[-1]),
         )
 
-    def summed(self, labels: IndexArray, factors: FloatArray) -> csr_array:
+    @cached_property
+    def _columns(self) -> csc_array:
+        """(M, N) the same by columns."""
+        return self._rows.tocsc()
+
+    def summed(self, labels: IndexArray, factors: FloatArray) -> csc_array:
         """Sum the derivatives, times factors (M,), of the matches of each label: (L, N)."""
-        return members(labels, factors) @ self._rows
+        return members(labels, factors) @ self._columns
 
     def changes(self, step: FloatArray) -> FloatArray:
         """Return by how much the residuals (M,) change with the unknowns (N,)."""
