@@ -10,6 +10,10 @@ from multilica.config import AcceptanceConfig
 from multilica.geometry import FloatArray
 from multilica.results import PairRegistration, PairResidual, Reason, connected
 
+# A wider sigma covers both poses up to 5 cm and 0.5 degrees by default. Cycles of real LiDARs missed by 3 cm, as their
+# errors are more than those that the covariances know; objects that moved between the scans make cycles miss by more.
+_COVERED = 2.5
+
 
 def doubted_lidars(
     target: str, pairs: Sequence[PairRegistration], residuals: Sequence[PairResidual]
@@ -63,8 +67,8 @@ def outlier(
 
 
 def is_beyond(residual: PairResidual, config: AcceptanceConfig) -> bool:
-    """Return whether a pair differs by more than the largest standard deviation of a placed LiDAR."""
-    return residual.after_m > config.max_sigma_m or residual.after_deg > config.max_sigma_deg
+    """Return whether a pair differs by more than a wider sigma may cover."""
+    return residual.after_m > _COVERED * config.max_sigma_m or residual.after_deg > _COVERED * config.max_sigma_deg
 
 
 def widened(covariances: Mapping[str, FloatArray], doubts: Mapping[str, PairResidual]) -> dict[str, FloatArray]:
@@ -82,7 +86,7 @@ def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason
         f"{residual.source} against {residual.target} contradicts the other pairs of its cycle by "
         f"{1000.0 * residual.after_m:.0f} mm, {residual.after_deg:.2f} deg (probability {probability:.0e})"
     )
-    return Reason("cycle_contradicted", residual.after_m, config.max_sigma_m, text)
+    return Reason("cycle_contradicted", residual.after_m, _COVERED * config.max_sigma_m, text)
 
 
 def _spread(residual: PairResidual) -> FloatArray:

@@ -63,6 +63,7 @@ def place(
     covariance: FloatArray | None,
     config: AcceptanceConfig,
     how: str = "placed",
+    covered: str = "",
     held: Reason | None = None,
     **known: Any,  # noqa: ANN401 - further fields of the placement
 ) -> LidarPlacement:
@@ -73,6 +74,7 @@ def place(
     Args:
         covariance: (6, 6), rotation (rad), then translation (m), along the target's axes; None if it is not known.
         how: the LiDAR was placed, for people.
+        covered: by the covariance, which is wider for that.
         held: by objects that can move, if so; the covariance is that of the others then.
     """
     doubt = held or (None if covariance is None else imprecision(*weakest_deviations(covariance), config))
@@ -80,9 +82,9 @@ def place(
         reason = f"{OPEN_POSE}: {doubt.text}"
         return LidarPlacement(pose.source, reason, T_target_source_prior=known.get("T_target_source_prior"))
     status: PlacementStatus = "placed" if doubt is None else "uncertain"
-    reason = how if doubt is None else doubt.text
+    reasons = [how if doubt is None else doubt.text, *([f"sigma covers that {covered}"] if covered else ())]
     return LidarPlacement(
-        pose.source, reason, status, pose, covariance=covariance, held_by_movable=held is not None, **known
+        pose.source, "; ".join(reasons), status, pose, covariance=covariance, held_by_movable=held is not None, **known
     )
 
 

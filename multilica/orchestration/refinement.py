@@ -17,9 +17,9 @@ from multilica.stages.refine import refine, trusted_pairs
 def refine_rig(state: CalibrationState) -> None:
     """Refine all poses jointly; LiDARs whose pairs contradict each other lose their pose, or have a wider covariance.
 
-    A contradiction below the limits of a placed LiDAR is counted in its covariance. With a larger one no pose of the
-    cycle can be trusted: the disagreement does not say how far the wrong pair is off. If the others tell which pair is
-    wrong, that pair goes instead. With one frame, the others may agree on a car that moved between the scans.
+    A small contradiction is counted in the covariance. With a larger one no pose of the cycle can be trusted: the
+    disagreement does not say how far the wrong pair is off. If the others tell which pair is wrong, that pair goes
+    instead. With one frame, the others may agree on a car that moved between the scans.
     """
     if not state.config.refine.enabled or state.group is None:
         return

@@ -307,7 +307,7 @@ def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacem
         poses[name],
         state.covariances.get(name),
         state.config.acceptance,
-        f"placed; sigma covers that {state.doubts[name]}" if name in state.doubts else "placed",
+        covered=state.doubts.get(name, ""),
         held=state.held.get(name),
         repeatability=state.repeatability.get(name),
         fitness=merged.fitness,

@@ -22,8 +22,8 @@ _NOISE_M = 0.03
 
 # With a smaller share of the information, moved objects are outliers of the fit by all points.
 _LEAST_SHARE = 0.1
-# With a larger one, fixed objects need not agree with the pose: GICP finds where they do. Where the movable ones were in
-# the other scan is sought too, in steps that a registration bridges.
+# With a larger one, fixed objects need not agree with the pose: GICP finds their own. The place where the movable ones
+# were in the other scan is sought too, in steps that a registration bridges.
 _HELD_SHARE = 0.5
 _STEPS_M = (0.75, 1.5, 2.25, 3.0)
 # Poses whose shares of matched points differ by less fit as well.
@@ -75,7 +75,7 @@ def without_movable(
 ) -> PairRegistration | None:
     """Register a pair to fixed objects only; None if movable ones hold little of its pose.
 
-    Where movable objects hold most of it, the registration begins anew: the fit by all points drops matches that
+    The registration begins anew if movable objects hold most of the pose: the fit by all points drops matches that
     contradict it, which are those of the fixed objects if the movable ones moved. In directions that fixed objects
     leave free, the pose may be off by the motion of a car.
 

@@ -143,11 +143,12 @@ def test_lidars_that_an_undecided_pair_excludes_lose_their_poses(monkeypatch):
     assert state.decisions[-1].reason == "b, d left the group: made"
 
 
-def test_a_small_contradiction_widens_sigma_to_cover_both():
-    state = _calibrated(_pairs("bc", by_m=0.018))
+@pytest.mark.parametrize(("by_m", "status"), [(0.018, "placed"), (0.045, "uncertain")])
+def test_a_small_contradiction_widens_sigma_to_cover_both(by_m, status):
+    state = _calibrated(_pairs("bc", by_m=by_m))
     sound, found = result_of(_calibrated(_pairs())), result_of(state)
     for name in state.doubts:
-        assert found[name].status == "placed"
+        assert found[name].status == status
         assert "sigma covers that c against b contradicts" in found[name].reason
         residual_m = max(each.after_m for each in state.refinement.pairs)
         expected = np.hypot(sound[name].sigma_xyz_m, residual_m)
