@@ -154,6 +154,14 @@ def test_a_pose_that_is_free_anyway_is_registered_once(points_per_start):
     assert len(points_per_start) == 1
 
 
+@pytest.mark.slow
+def test_a_pose_that_fixed_objects_mostly_hold_is_only_fitted(points_per_start):
+    pair, fixed = _fixed_pair(crossed=True)
+    assert fixed is not None
+    assert not points_per_start
+    assert fixed.T_target_source.distance_to(pair.T_target_source)[0] < 0.005
+
+
 def test_without_fixed_points_no_direction_is_held():
     pair, clouds = _registered(crossed=False)
     clouds = _partly_fixed(*clouds, on_movable=lambda _, points_m: np.ones(len(points_m), dtype=bool))
