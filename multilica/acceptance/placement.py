@@ -25,7 +25,7 @@ from multilica.results import (
 )
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.results.registrations import weakest_deviations
-from multilica.results.values import OPEN_POSE
+from multilica.results.values import COVERED, OPEN_POSE
 from multilica.visibility.sensor_view import ScorePose
 
 # Movable objects hold a pose if its standard deviation grows by this factor without them.
@@ -82,7 +82,7 @@ def place(
         reason = f"{OPEN_POSE}: {doubt.text}"
         return LidarPlacement(pose.source, reason, T_target_source_prior=known.get("T_target_source_prior"))
     status: PlacementStatus = "placed" if doubt is None else "uncertain"
-    reasons = [how if doubt is None else doubt.text, *([f"sigma covers that {covered}"] if covered else ())]
+    reasons = [how if doubt is None else doubt.text, *([f"{COVERED} {covered}"] if covered else ())]
     return LidarPlacement(
         pose.source, "; ".join(reasons), status, pose, covariance=covariance, held_by_movable=held is not None, **known
     )

@@ -22,7 +22,7 @@ from multilica.diagnosis.explanation import (
 )
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 from multilica.results.stages import VerifyFigures
-from multilica.results.values import OPEN_POSE
+from multilica.results.values import COVERED, OPEN_POSE
 
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
@@ -222,9 +222,12 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
         sigma, limit = f"{sigma_deg:.3f} deg", f"{limits.max_sigma_deg:g} deg"
     headline = f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}."
     cause = "uncertain"
+    why, _, covered = document.lidars[name].reason.partition(f"; {COVERED} ")
     if document.lidars[name].held_by_movable:
         cause = "held_by_movable"
-        headline = f"{headline} {document.lidars[name].reason.rstrip('.').capitalize()}."
+        headline = f"{headline} {why.rstrip('.').capitalize()}."
+    if covered:
+        headline = f"{headline} {COVERED.capitalize()} {covered}."
     return Uncertain(
         name,
         headline,

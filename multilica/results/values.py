@@ -28,6 +28,9 @@ from multilica.geometry import RigidTransform
 OPEN_POSE = "the scene leaves its pose open in one direction"
 """Begins the reason of a LiDAR whose pairs were accepted, but do not hold its pose."""
 
+COVERED = "sigma covers that"
+"""A contradiction follows these words in the reason of a LiDAR whose covariance is wider for it."""
+
 
 def _plain(value: Any) -> Any:  # noqa: ANN401
     """Return an array as lists, and None for a number, or for an array with a number, that is not finite."""

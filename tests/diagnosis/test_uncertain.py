@@ -76,6 +76,15 @@ def test_a_pose_that_movable_objects_hold_asks_for_more_frames(document):
     assert warning.startswith("rear: only objects that can move hold the pose")
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_a_contradiction_that_sigma_covers_is_told(document, held):
+    cycle = "Top contradicts the other pairs of its cycle by 34 mm"
+    document["lidars"][UNPLACED] |= {"held_by_movable": held, "reason": f"cars hold it; sigma covers that {cycle}"}
+    (uncertain,) = explain(parsed(document)).uncertain
+    why = "Cars hold it. " if held else ""
+    assert uncertain.headline.endswith(f"limit 20 mm. {why}Sigma covers that {cycle}.")
+
+
 def test_older_documents_have_no_pose_that_movable_objects_hold(document):
     del document["lidars"][UNPLACED]["held_by_movable"]
     assert parsed(document).lidars[UNPLACED].held_by_movable is False
