@@ -63,6 +63,18 @@ class PairGraph:
                     reached.append(further)
         return paths.get(source, [])
 
+    def cycle(self, loop: PairRegistration) -> list[PairRegistration]:
+        """Return one of the loops with the pairs of the tree between its ends."""
+        return [loop, *self.path(loop.target, loop.source)]
+
+    def entangled(self, cycle: Sequence[PairRegistration]) -> list[PairRegistration]:
+        """Return the pairs of a cycle, and of all cycles that share pairs with it or with another of these."""
+        found, others = list(cycle), [self.cycle(loop) for loop in self.loops]
+        while joining := next((each for each in others if any(pair in found for pair in each)), None):
+            others.remove(joining)
+            found += (pair for pair in joining if pair not in found)
+        return found
+
     def lidars_between(self, target: str, source: str) -> list[str]:
         """Return the names along that path, target and source included."""
         names = [target]

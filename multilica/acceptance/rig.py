@@ -108,6 +108,9 @@ def check_cycles(
     pair. In a cycle that does not close, the pair with the least evidence goes, with those that hardly have more. If a
     pair that goes was registered where others implied it, these go as well: it only repeats what they say.
 
+    If a cycle misses by a turn, the scene may look the same from its other end. Wrong pairs then confirm each other, so
+    that pairs need twice the lead, also those of other cycles that share a pair with this one.
+
     Uncertain pairs, which join what accepted ones do not, are in chains and cycles as well. If beams contradict a
     chain, they are doubted before the accepted ones, which were examined without them.
 
@@ -121,10 +124,12 @@ def check_cycles(
     for loop in graph.loops:
         implied = graph.implied(loop.target, loop.source)
         if implied is not None and is_distinct(implied, [loop.T_target_source]):
-            cycle = [loop, *graph.path(loop.target, loop.source)]
-            least = min(pair.evidence for pair in cycle)
+            cycle = graph.cycle(loop)
+            needed = min(pair.evidence for pair in cycle) + config.min_log_odds_margin
+            if implied.distance_to(loop.T_target_source)[1] >= _TURNED_RAD:
+                cycle, needed = graph.entangled(cycle), needed + config.min_log_odds_margin
             for pair in cycle:
-                if pair.evidence < least + config.min_log_odds_margin:
+                if pair.evidence < needed:
                     doubts.setdefault(id(pair), _exclusion(loop, implied))
     _doubt_implying(joining, doubts, config)
     known = {pair.lidars for pair in joining}

@@ -13,9 +13,10 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.pairs import (
     PreparedLidar,
     SearchRequest,
-    lead_along_slide,
+    better_along_slide,
     priority_of,
     register_implied,
+    register_roughly_implied,
     score_implied,
     score_roughly,
     search_pair,
@@ -233,7 +234,8 @@ class LinkSearch:
         least = self.config.acceptance.min_evidence if least is None else least
         chosen = choose_loops(scores, least, self.loops_per_view)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
-        for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
+        register = register_implied if score is score_implied else register_roughly_implied
+        for pair, found in zip(chosen, self.workers.map(register, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
                 self._keep(pair, found)
         return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
@@ -246,9 +248,9 @@ class LinkSearch:
         """
         between = {pair: link for pair, link in self.links.items() if len(link.registration.lidars) > 1}
         found = [link.registration.registrations[0] for link in between.values()]
-        leads = dict(zip(between, self.workers.map(lead_along_slide, found), strict=True))
-        doubtful = [pair for pair, (lead, _) in leads.items() if lead < 0.0]
-        for pair in sorted(doubtful, key=leads.__getitem__, reverse=True):
+        better = zip(between, self.workers.map(better_along_slide, found), strict=True)
+        leads = {pair: other for pair, other in better if other is not None}
+        for pair in sorted(leads, key=leads.__getitem__, reverse=True):
             lead, away_m = leads[pair]
             one, other = sorted(between[pair].registration.lidars)
             text = f"a place {away_m:.1f} m along the way fits links of {one} with {other} better"

@@ -41,6 +41,7 @@ from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,
     SensorView,
+    may_compete,
     prepare_sensor_view,
     score_pose,
 )
@@ -250,10 +251,19 @@ def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: Pre
 
 
 def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
-    """Register two LiDARs from the pose that other pairs imply."""
-    pose = implied.T_target_source
+    """Register two LiDARs from the pose that other pairs imply, by a fit to planes alone if that hardly moves it."""
+    return _register_from(lidars, implied, is_known=True)
+
+
+def register_roughly_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
+    """Register two LiDARs from an implied pose that may be some decimetres off."""
+    return _register_from(lidars, implied, is_known=False)
+
+
+def _register_from(lidars: Shared, start: Hypothesis, *, is_known: bool) -> PairRegistration:
+    pose = start.T_target_source
     target, source = (lidars[name] for name in (pose.target, pose.source))
-    return register_sides(target.side, source.side, [implied], target.config)
+    return register_sides(target.side, source.side, [start], target.config, is_known=is_known)
 
 
 def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
@@ -268,26 +278,30 @@ def score_roughly(lidars: Shared, pose: RigidTransform) -> Registration:
     return score_pose(target, source, pose, *ROUGH_TOLERANCES)
 
 
-def lead_along_slide(lidars: Shared, found: Registration) -> tuple[float, float]:
-    """Compare a pose by beams with those along its weakest direction that are too far away to be the same one.
+def better_along_slide(lidars: Shared, found: Registration) -> tuple[float, float] | None:
+    """Find a pose that beams prefer to a registered one, along its weakest direction and too far away to be the same.
 
-    The likeliest of them is registered if it seems likelier than the pose: poses some decimetres off compare roughly.
+    The likeliest that seems better is registered, because poses some decimetres off compare roughly.
 
     Returns:
-        By how much the pose is likelier than the likeliest of them, negative if it is less likely, and how far that one
-        is.
+        The lead of the registered pose over it, which is negative, and how far it is; None if no pose is better.
     """
     pose, direction = found.T_target_source, found.visibility.slide_direction
+    target, source = (lidars[name].view for name in (pose.target, pose.source))
     known = score_roughly(lidars, pose)
     ways_m = np.arange(_NEXT_PLACE_M, _LONGEST_SLIDE_M, _SCORED_STEP_M)
-    shifted = {way_m: moved(pose, np.zeros(3), way_m * direction) for way_m in (*ways_m.tolist(), *(-ways_m).tolist())}
-    lead, way_m = min((known.rough_lead_over(score_roughly(lidars, each)), way_m) for way_m, each in shifted.items())
-    if lead >= 0.0:
-        return lead, abs(way_m)
-    best = register_implied(lidars, Hypothesis(shifted[way_m])).registrations[0]
-    if not is_distinct(best.T_target_source, [pose]):
-        return 0.0, abs(way_m)
-    return found.lead_over(best), best.T_target_source.distance_to(pose)[0]
+    shifted = [moved(pose, np.zeros(3), side * way_m * direction) for way_m in ways_m for side in (1.0, -1.0)]
+    better = [
+        score_roughly(lidars, each)
+        for each in shifted
+        if may_compete(target, source, each, known, known.evidence, *ROUGH_TOLERANCES)
+    ]
+    if not better:
+        return None
+    likeliest = min(better, key=known.rough_lead_over)
+    best = register_roughly_implied(lidars, Hypothesis(likeliest.T_target_source)).registrations[0]
+    lead = found.lead_over(best) if is_distinct(best.T_target_source, [pose]) else 0.0
+    return (lead, best.T_target_source.distance_to(pose)[0]) if lead < 0.0 else None
 
 
 def lead_over_shifts(lidars: Shared, found: Registration) -> float:

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from multilica.acceptance.rig import check_cycles, is_contradicted
@@ -84,6 +85,24 @@ def test_of_a_cycle_that_does_not_close_the_weakest_goes(evidence, doubted):
     after = check_cycles(pairs, scored, _CONFIG)
     assert ["".join(sorted(pair.lidars)) for pair in after if is_contradicted(pair)] == doubted
     assert all("one of the pairs is wrong" in pair.verdict.text for pair in after if is_contradicted(pair))
+
+
+@pytest.mark.parametrize(
+    ("evidence", "others", "doubted"),
+    [
+        ((600, 600, 60), [], ["ab", "ac", "bc"]),
+        ((600, 6000, 60), [], ["ab", "bc"]),
+        ((600, 600, 60), ["ad", "bd"], ["ab", "ac", "ad", "bc", "bd"]),
+        ((600, 600, 60), ["ad"], ["ab", "ac", "bc"]),
+    ],
+    ids=["one has more", "one has much more", "another cycle shares a pair", "a pair in no cycle"],
+)
+def test_a_cycle_that_misses_by_a_turn_doubts_more_pairs(evidence, others, doubted):
+    """Where a hall looks the same from its other end, wrong pairs confirm each other."""
+    turned = pose("b", "b", (1.0, 0.0, 0.0), np.pi) @ true_pose("b", "c")
+    pairs = [linked("a", "b", evidence[0]), linked("a", "c", evidence[1])]
+    pairs += [moved_to(linked("b", "c", evidence[2]), turned), *(linked(*names) for names in others)]
+    assert sorted(_doubted(pairs, scored)) == doubted
 
 
 @pytest.mark.parametrize(

@@ -107,17 +107,17 @@ def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("lead", "turn_rad", "yaw_rad", "outcomes"),
+    ("better", "turn_rad", "yaw_rad", "outcomes"),
     [
-        (-0.1, 0.0, 0.0, ("undecided", "undecided")),
-        (-0.1, np.pi, 0.0, ("undecided", "undecided")),
-        (-0.1, 1.2, 0.0, ("undecided", "accept")),
-        (-0.1, 0.0, 1.2, ("undecided", "accept")),
-        (-0.1, 1.2, 1.2, ("undecided", "accept")),
-        (0.1, 0.0, 0.0, ("accept", "accept")),
+        ((-0.1, 4.0), 0.0, 0.0, ("undecided", "undecided")),
+        ((-0.1, 4.0), np.pi, 0.0, ("undecided", "undecided")),
+        ((-0.1, 4.0), 1.2, 0.0, ("undecided", "accept")),
+        ((-0.1, 4.0), 0.0, 1.2, ("undecided", "accept")),
+        ((-0.1, 4.0), 1.2, 1.2, ("undecided", "accept")),
+        (None, 0.0, 0.0, ("accept", "accept")),
     ],
 )
-def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, turn_rad, yaw_rad, outcomes):
+def test_a_better_place_along_the_way_doubts_links(monkeypatch, better, turn_rad, yaw_rad, outcomes):
     """It doubts the links of these two LiDARs that slide along the same axis, and none of a LiDAR with itself."""
     worse = ("front at stop 1", "rear at stop 2")
 
@@ -136,7 +136,7 @@ def test_a_better_place_along_the_way_doubts_links(monkeypatch, lead, turn_rad, 
     monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
     monkeypatch.setattr(link_search, "next_round", lambda _, __, tried, priority: [] if tried else [*priority])
     monkeypatch.setattr(link_search, "search_pair", made)
-    monkeypatch.setattr(link_search, "lead_along_slide", lambda _, found: (lead if found.pair == worse else 2.0, 4.0))
+    monkeypatch.setattr(link_search, "better_along_slide", lambda _, found: better if found.pair == worse else None)
     found = links.search_links(_STOPS, CalibrationConfig(), Workers()).links
     assert len(found) == 4
     expected = dict(zip((worse, ("rear at stop 1", "front at stop 2")), outcomes, strict=True))
@@ -162,7 +162,7 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
     monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
     monkeypatch.setattr(link_search, "score_roughly", lambda *_: SimpleNamespace(evidence=9.0))
     monkeypatch.setattr(link_search, "choose_loops", lambda scores, *_: [*scores])
-    monkeypatch.setattr(link_search, "register_implied", registered)
+    monkeypatch.setattr(link_search, "register_roughly_implied", registered)
     pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6), verdict=made)
     motion = ViewPair(pose, "stop 1", "stop 2")
     rear = ViewPair(replace(pose, target="rear", source="rear"), "stop 1", "stop 2")
@@ -202,7 +202,7 @@ def registered(monkeypatch):
     monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
     monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
     monkeypatch.setattr(link_search, "score_roughly", lambda *_: SimpleNamespace(evidence=0.5))
-    monkeypatch.setattr(link_search, "register_implied", made)
+    monkeypatch.setattr(link_search, "register_roughly_implied", made)
 
 
 _BOTH = {"front", "rear"}

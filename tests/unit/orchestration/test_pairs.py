@@ -13,10 +13,11 @@ from multilica.orchestration import pairs
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
-    lead_along_slide,
+    better_along_slide,
     lead_over_shifts,
     prepare_lidar,
     register_implied,
+    register_roughly_implied,
     score_implied,
     search_pair,
 )
@@ -197,6 +198,21 @@ def test_an_implied_pose_is_scored_and_registered_from_there(lidars):
     assert registered.evidence > scored.evidence
 
 
+@pytest.mark.parametrize(
+    ("off_m", "register", "by_gicp"),
+    [
+        (0.01, register_implied, False),
+        (0.05, register_implied, True),
+        (0.01, register_roughly_implied, True),
+    ],
+)
+def test_gicp_is_left_out_where_an_implied_pose_fits(lidars, off_m, register, by_gicp):
+    near = moved(_TRUTH, np.zeros(3), np.array([off_m, 0.0, 0.0]))
+    registered = register(lidars, Hypothesis(near))
+    assert bool(registered.steps) == by_gicp
+    assert registered.T_target_source.with_target("t").distance_to(_TRUTH)[0] < 0.01
+
+
 def _sliding(lidars, pose, along):
     lead_over = score_implied(lidars, pose).lead_over
     return SimpleNamespace(T_target_source=pose, visibility=SimpleNamespace(slide_direction=along), lead_over=lead_over)
@@ -208,18 +224,16 @@ def test_a_place_that_leads_back_is_not_better(lidars, monkeypatch):
     found = _sliding(lidars, moved(_TRUTH, np.zeros(3), 2.6 * along), along)
     back = register_implied(lidars, Hypothesis(_TRUTH)).registrations[0]
     pose = replace(back, T_target_source=found.T_target_source)
-    monkeypatch.setattr(pairs, "register_implied", lambda *_: SimpleNamespace(registrations=(pose,)))
-    assert lead_along_slide(lidars, found)[0] == 0.0
+    monkeypatch.setattr(pairs, "register_roughly_implied", lambda *_: SimpleNamespace(registrations=(pose,)))
+    assert better_along_slide(lidars, found) is None
 
 
-@pytest.mark.parametrize("off_m", [0.0, 2.6])
-def test_a_place_along_the_slide_may_fit_better(lidars, off_m):
-    along = np.array([0.6, 0.8, 0.0])
-    found = _sliding(lidars, moved(_TRUTH, np.zeros(3), off_m * along), along)
-    lead, away_m = lead_along_slide(lidars, found)
-    assert (lead < 0.0) == (off_m > 0.0)
-    assert away_m >= 2.0
-    assert off_m == 0.0 or away_m == pytest.approx(off_m, abs=0.1)
+def test_a_place_along_the_slide_may_fit_better(lidars):
+    along, off_m = np.array([0.6, 0.8, 0.0]), 2.6
+    lead, away_m = better_along_slide(lidars, _sliding(lidars, moved(_TRUTH, np.zeros(3), off_m * along), along))
+    assert lead < 0.0
+    assert away_m == pytest.approx(off_m, abs=0.1)
+    assert better_along_slide(lidars, _sliding(lidars, _TRUTH, along)) is None
 
 
 _PERIOD_M = 6.0
