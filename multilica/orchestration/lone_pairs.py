@@ -47,13 +47,16 @@ def doubt_merge(
 ) -> PairRegistration:
     """Leave two groups undecided that no pair joins, and that fit with little evidence in a scene that may repeat.
 
+    They need a margin more if one of their pairs has another possible pose elsewhere: wrong merges had 9.
+
     Args:
         between: the registrations of their members.
     """
     limits = state.config.acceptance
-    least = limits.min_evidence + limits.min_log_odds_margin
+    ambiguous = any("ambiguous" in pair.verdict.codes for pair in between)
+    least = limits.min_evidence + (2.0 if ambiguous else 1.0) * limits.min_log_odds_margin
     joined = any(may_join(pair) for pair in between)
-    if not may_join(merge) or joined or merge.evidence >= least or not _scene_repeats(state):
+    if not may_join(merge) or joined or merge.evidence >= least or not (ambiguous or _scene_repeats(state)):
         return merge
     joins = f"no pair joins the groups of {merge.target} and {merge.source}"
     return replace(merge, verdict=Verdict("undecided", (_may_repeat(joins, merge.evidence, least),)))

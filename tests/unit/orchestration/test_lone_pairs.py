@@ -12,7 +12,7 @@ from multilica.events import VerdictChanged
 from multilica.orchestration import lone_pairs
 from multilica.results import Reason, Verdict
 from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
-from tests.unit.made_pairs import pose
+from tests.unit.made_pairs import pose, undecided
 
 _REPEATS = Verdict("undecided", (Reason("held_by_repetition", 1.0, 4.6, "the scene repeats", scored(pose("a", "d"))),))
 _ELSEWHERE = pose("a", "d", (7.0, 0.0, 0.0))
@@ -217,6 +217,16 @@ def test_groups_without_a_pair_need_as_much(distinctive, between):
     found = lone_pairs.doubt_merge(_state([_TWO_PLACES]), merge, between)
     assert found.verdict.codes == (("held_by_repetition",) if distinctive == 100 and not between else ())
     assert lone_pairs.doubt_merge(_state([]), merge, between) is merge
+
+
+@pytest.mark.parametrize(("code", "doubted"), [("ambiguous", True), ("not_observable", False)])
+def test_groups_with_an_ambiguous_pair_need_a_margin_more(code, doubted):
+    """Another pose is possible for two of their LiDARs, and each of both may fit by chance."""
+    between = [linked("a", "d", 100, undecided(code))]
+    merge, clear = linked("a", "d", 600), linked("a", "d", 6000)
+    found = lone_pairs.doubt_merge(_state([]), merge, between)
+    assert found.verdict.codes == (("held_by_repetition",) if doubted else ())
+    assert lone_pairs.doubt_merge(_state([]), clear, between) is clear
 
 
 def test_a_scene_that_does_not_repeat_asks_for_no_more(doubt):
