@@ -233,7 +233,7 @@ def test_without_the_fit_there_is_no_information(sides, monkeypatch):
     assert result.evidence > _CONFIG.acceptance.min_evidence
 
 
-@pytest.mark.parametrize(("offset_m", "needs_gicp"), [(0.003, False), (0.03, True)])
+@pytest.mark.parametrize(("offset_m", "needs_gicp"), [(0.01, False), (0.06, True)])
 def test_gicp_follows_a_known_pose_only_if_it_moved(sides, offset_m, needs_gicp):
     expected = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     known = _hypothesis(_near(expected.T_target_source, (offset_m, 0.0, 0.0), 0.0))
@@ -244,6 +244,20 @@ def test_gicp_follows_a_known_pose_only_if_it_moved(sides, offset_m, needs_gicp)
     metres, radians = found.T_target_source.distance_to(expected.T_target_source)
     assert metres < 5e-4
     assert radians < np.deg2rad(0.005)
+
+
+@pytest.mark.parametrize(("config", "first"), [(_CONFIG, "fit_planes"), (_NEVER_FIRM, "register")])
+def test_a_known_pose_is_fitted_first_only_if_it_is_held(sides, monkeypatch, config, first):
+    def stop_at(name):
+        def stop(*_):
+            raise RuntimeError(name)
+
+        monkeypatch.setattr(fine, name, stop)
+
+    stop_at("fit_planes")
+    stop_at("register")
+    with pytest.raises(RuntimeError, match=first):
+        register_best(*sides, [_hypothesis(_TRUTH)], config, is_known=True)
 
 
 def test_only_finalists_that_may_win_go_on(sides, monkeypatch):
