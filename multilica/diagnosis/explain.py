@@ -221,8 +221,8 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
         direction = f"mostly about {about} of {document.target}"
         sigma, limit = f"{sigma_deg:.3f} deg", f"{limits.max_sigma_deg:g} deg"
     headline = f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}."
-    cause = "uncertain"
     why, _, covered = document.lidars[name].reason.partition(f"; {COVERED} ")
+    cause = "two_places" if covered else "uncertain"
     if document.lidars[name].held_by_movable:
         cause = "held_by_movable"
         headline = f"{headline} {why.rstrip('.').capitalize()}."

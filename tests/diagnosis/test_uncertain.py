@@ -83,6 +83,7 @@ def test_a_contradiction_that_sigma_covers_is_told(document, held):
     (uncertain,) = explain(parsed(document)).uncertain
     why = "Cars hold it. " if held else ""
     assert uncertain.headline.endswith(f"limit 20 mm. {why}Sigma covers that {cycle}.")
+    assert uncertain.advice == CAUSES["held_by_movable" if held else "two_places"][1:]
 
 
 def test_older_documents_have_no_pose_that_movable_objects_hold(document):

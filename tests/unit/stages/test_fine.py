@@ -233,7 +233,7 @@ def test_without_the_fit_there_is_no_information(sides, monkeypatch):
     assert result.evidence > _CONFIG.acceptance.min_evidence
 
 
-@pytest.mark.parametrize(("offset_m", "needs_gicp"), [(0.01, False), (0.06, True)])
+@pytest.mark.parametrize(("offset_m", "needs_gicp"), [(0.01, False), (0.025, False), (0.06, True)])
 def test_gicp_follows_a_known_pose_only_if_it_moved(sides, offset_m, needs_gicp):
     expected = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     known = _hypothesis(_near(expected.T_target_source, (offset_m, 0.0, 0.0), 0.0))
