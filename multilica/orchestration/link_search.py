@@ -2,7 +2,7 @@
 """Search between the views of different stops of a drive, and registration where other pairs tell their poses."""
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,12 +29,11 @@ from multilica.results import (
     PairKey,
     PairRegistration,
     Reason,
-    Registration,
     Verdict,
     ViewPair,
 )
 from multilica.stages.pair_choice import LEAST_PRIORITY, choose_loops, next_round
-from multilica.workers import Shared, Workers
+from multilica.workers import Workers
 
 # As many searches per view in a row that find nothing are enough; so are half as many the second time.
 _FAILURES_PER_VIEW = 1.0
@@ -142,7 +141,7 @@ class LinkSearch:
         implied = self._implied(self._graph(motions))
         if self._is_late(implied):
             return
-        self._register(implied, score_roughly)
+        self._register(implied, roughly=True)
         self._close_loops()
         self._doubt_slid()
 
@@ -167,7 +166,7 @@ class LinkSearch:
             return
         self.share()
         self.loops_per_view = len(of_label)
-        self._register(implied, score_roughly, least_evidence(self.config))
+        self._register(implied, least_evidence(self.config), roughly=True)
         self._doubt_slid()
 
     def share(self) -> dict[DriveView, PreparedLidar]:
@@ -212,7 +211,7 @@ class LinkSearch:
         """Register pairs of views from the poses that other pairs imply."""
         implied = {pair: pose for pair, pose in self._implied(self._graph()).items() if pair not in self.tested}
         self.tested.update(implied)
-        self.left_out |= self._register(implied, score_implied)
+        self.left_out |= self._register(implied)
 
     def _implied(self, graph: ViewGraph) -> dict[PairKey, RigidTransform]:
         of_label = self._of_label
@@ -226,15 +225,20 @@ class LinkSearch:
     def _register(
         self,
         implied: Mapping[PairKey, RigidTransform],
-        score: Callable[[Shared, RigidTransform], Registration],
         least: float | None = None,
+        *,
+        roughly: bool = False,
     ) -> set[PairKey]:
-        """Register the most promising pairs from their poses; return the others that have enough evidence."""
+        """Register the most promising pairs from their poses; return the others that have enough evidence.
+
+        Args:
+            roughly: the poses may be some decimetres off.
+        """
+        score, register = (score_roughly, register_roughly_implied) if roughly else (score_implied, register_implied)
         scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
         least = self.config.acceptance.min_evidence if least is None else least
         chosen = choose_loops(scores, least, self.loops_per_view)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
-        register = register_implied if score is score_implied else register_roughly_implied
         for pair, found in zip(chosen, self.workers.map(register, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
                 self._keep(pair, found)

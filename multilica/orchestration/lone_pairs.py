@@ -47,7 +47,7 @@ def doubt_merge(
 ) -> PairRegistration:
     """Leave two groups undecided that no pair joins, and that fit with little evidence in a scene that may repeat.
 
-    They need a margin more if one of their pairs has another possible pose elsewhere: wrong merges had 9.
+    They need a margin more if one of their pairs has another possible pose: wrong merges had an evidence of 9.
 
     Args:
         between: the registrations of their members.

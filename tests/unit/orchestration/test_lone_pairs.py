@@ -221,7 +221,7 @@ def test_groups_without_a_pair_need_as_much(distinctive, between):
 
 @pytest.mark.parametrize(("code", "doubted"), [("ambiguous", True), ("not_observable", False)])
 def test_groups_with_an_ambiguous_pair_need_a_margin_more(code, doubted):
-    """Another pose is possible for two of their LiDARs, and each of both may fit by chance."""
+    """Another pose is possible for two of their LiDARs, and either may fit by chance."""
     between = [linked("a", "d", 100, undecided(code))]
     merge, clear = linked("a", "d", 600), linked("a", "d", 6000)
     found = lone_pairs.doubt_merge(_state([]), merge, between)
