@@ -34,7 +34,7 @@ from multilica.orchestration.links import (
 )
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at
+from multilica.orchestration.stop_views import DriveStop, contradiction_at, lead_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.registration.poses import is_near
@@ -154,10 +154,10 @@ def _link(
     deadline_s: float,
 ) -> tuple[FoundLinks, CalibrationResult]:
     """Link the stops, with more links as long as LiDARs are not placed, and return the links with the result."""
-    against = partial(contradiction_at, stops, config)
+    against, lead = partial(contradiction_at, stops, config), partial(lead_at, stops)
 
     def joined(found: FoundLinks) -> CalibrationResult:
-        return join(runs, config, found.links, against, found.motions, found.levels)
+        return join(runs, config, found.links, against, lead, found.motions, found.levels)
 
     with threadpool_limits(1):
         found = search_links(stops, config, workers, deadline_s)

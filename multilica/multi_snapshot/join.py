@@ -21,7 +21,14 @@ from multilica.multi_snapshot.estimate import (
     spread_of,
 )
 from multilica.multi_snapshot.motions import ToldPose
-from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
+from multilica.multi_snapshot.pose_conflicts import (
+    LeadAt,
+    SnapshotPairs,
+    excluded_poses,
+    inconsistent_lidars,
+    resolve_conflicts,
+    without_conflicts,
+)
 from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
 from multilica.results import (
@@ -88,6 +95,7 @@ def join(
     config: CalibrationConfig | None = None,
     links: Sequence[ViewPair] = (),
     contradiction_at: ContradictionAt | None = None,
+    lead_at: LeadAt | None = None,
     motions: Sequence[ViewPair] = (),
     levels: Mapping[str, RigidTransform] = MappingProxyType({}),
 ) -> CalibrationResult:
@@ -101,7 +109,8 @@ def join(
         runs: each snapshot calibrated with that configuration, or its refusal.
         config: the default preset if None.
         links: registrations between snapshots that are stops of one drive.
-        contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
+        contradiction_at: tests poses at the stops that do not tell them; None: they are not tested.
+        lead_at: compares poses of stops at those that left a pair undecided; None: they are not compared.
         motions: of LiDARs between these snapshots, by odometry.
         levels: poses of LiDARs over the ground, of use where pairs and links leave a pose open.
 
@@ -120,7 +129,9 @@ def join(
         raise UnfitSnapshotError(f"None of {len(runs)} snapshots can be used: {refusals}.")
     lidars = sorted({placement.lidar for result in results.values() for placement in result.placements})
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
-    kept, conflicts = resolve_conflicts(given, config)
+    excluded = () if lead_at is None else excluded_poses(given, results, lead_at, config)
+    kept, conflicts = resolve_conflicts(without_conflicts(given, excluded), config)
+    conflicts = (*excluded, *conflicts)
     target, reason = choose_target(kept, lidars, config.target, links)
     inconsistent = {
         name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results

@@ -2,7 +2,7 @@
 """Snapshots that contradict each other on the pose of a pair."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -11,10 +11,51 @@ import numpy as np
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.estimate import Estimate, estimate_pairs, pair_poses
-from multilica.results import PairKey, PairRegistration, PoseConflict, connected
+from multilica.registration.poses import is_distinct
+from multilica.results import CalibrationResult, PairKey, PairRegistration, PoseConflict, Registration, connected
 
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
 """Per snapshot, the registrations that determine its poses."""
+LeadAt = Callable[[str, Registration, RigidTransform], float]
+"""Returns by how much a registered pose of two LiDARs is likelier than another one, by their beams at a stop."""
+
+
+def excluded_poses(
+    pairs: SnapshotPairs, results: Mapping[str, CalibrationResult], lead_at: LeadAt, config: CalibrationConfig
+) -> tuple[PoseConflict, ...]:
+    """Find the poses of pairs that stops which left the pair undecided exclude.
+
+    A search that finds several poses has the true one among them, or this fits as well. So a pose of another stop that
+    fits worse there is wrong: between equal houses, one stop may find only one of the wrong poses. Stops with the same
+    pose outvote fewer that exclude it.
+
+    Args:
+        results: of the same snapshots.
+    """
+    found: list[PoseConflict] = []
+    for name, own in pairs.items():
+        for pair in own:
+            pose = pair.T_target_source
+            same = [each for other in pairs.values() for each in other if _has_pose(each, pair)]
+            against = {
+                other: known.T_target_source
+                for other, result in results.items()
+                if (known := _undecided(pair, pairs[other], result)) and _excludes(other, known, pose, lead_at, config)
+            }
+            if against and len(against) >= len(same):
+                distance_m, angle_rad = pose.distance_to(_between(pair, next(iter(against.values()))))
+                lidars = (min(pair.lidars), max(pair.lidars))
+                angle_deg = float(np.rad2deg(angle_rad))
+                found.append(PoseConflict(name, lidars, tuple(against), distance_m, angle_deg, outvoted=True))
+    return tuple(found)
+
+
+def without_conflicts(pairs: SnapshotPairs, conflicts: Sequence[PoseConflict]) -> SnapshotPairs:
+    """Drop the registrations that snapshots lose by conflicts.
+
+    A snapshot that connects the LiDARs of a conflict only through others drops all registrations connected to them.
+    """
+    return {name: _without(own, [each for each in conflicts if each.snapshot == name]) for name, own in pairs.items()}
 
 
 def resolve_conflicts(
@@ -23,8 +64,8 @@ def resolve_conflicts(
     """Drop registrations until no two snapshots contradict each other, by majority if there is one.
 
     The snapshots that connect two LiDARs, directly or through others, vote on their pose. A snapshot that loses drops
-    its registrations of that pair; without a majority all contradicting snapshots drop theirs. A snapshot that connects
-    the disputed LiDARs only through others drops all registrations connected to them.
+    its registrations of that pair, as `without_conflicts` says; without a majority all contradicting snapshots drop
+    theirs.
     """
     conflicts: tuple[PoseConflict, ...] = ()
     if not _differ(pairs, config):
@@ -32,7 +73,7 @@ def resolve_conflicts(
     estimates = {name: estimate_pairs(own, config.refine) for name, own in pairs.items()}
     while found := tuple(_conflicts(estimates, config)):
         conflicts += found
-        left = {name: _without(own, [each for each in found if each.snapshot == name]) for name, own in pairs.items()}
+        left = without_conflicts(pairs, found)
         estimates |= {name: estimate_pairs(own, config.refine) for name, own in left.items() if own is not pairs[name]}
         pairs = left
     return pairs, conflicts
@@ -53,6 +94,43 @@ def inconsistent_lidars(conflicts: Sequence[PoseConflict], target: str) -> tuple
         found.append(replace(shown, lidars=(worst, other)))
         left = [conflict for conflict in left if worst not in conflict.lidars]
     return tuple(found)
+
+
+def _has_pose(pair: PairRegistration, other: PairRegistration) -> bool:
+    return pair.lidars == other.lidars and not is_distinct(
+        _between(other, pair.T_target_source), [other.T_target_source]
+    )
+
+
+def _between(pair: PairRegistration, pose: RigidTransform) -> RigidTransform:
+    """Return a pose of the LiDARs of a pair from its target to its source."""
+    return pose if pose.target == pair.target else pose.inverse()
+
+
+def _undecided(
+    pair: PairRegistration, trusted: Sequence[PairRegistration], result: CalibrationResult
+) -> PairRegistration | None:
+    """Return the undecided registration of a pair that nothing else at its snapshot tells; None if there is none."""
+    if pair.source in connected(pair.target, trusted):
+        return None
+    return next(
+        (
+            each
+            for each in result.pairs
+            if each.lidars == pair.lidars and each.verdict.outcome == "undecided" and each.registrations
+        ),
+        None,
+    )
+
+
+def _excludes(
+    snapshot: str, known: PairRegistration, pose: RigidTransform, lead_at: LeadAt, config: CalibrationConfig
+) -> bool:
+    """Return whether a pose is none that the undecided pair found, and fits worse than its best one."""
+    there = _between(known, pose)
+    if not is_distinct(there, [each.T_target_source for each in known.registrations]):
+        return False
+    return lead_at(snapshot, known.registrations[0], there) >= config.acceptance.min_log_odds_margin
 
 
 def _differ(pairs: SnapshotPairs, config: CalibrationConfig) -> bool:

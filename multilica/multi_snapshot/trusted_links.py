@@ -160,9 +160,7 @@ def refine_linked(
         rig = refine(root, _told_poses(root, solution, within), [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
-            against = (
-                _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf) if links else None
-            )
+            against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
             if against is None:
                 break
             if left:

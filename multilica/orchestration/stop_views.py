@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """LiDARs prepared for registration with their views at other stops."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.registration.movable import find_movable
 from multilica.registration.own_body import BodyCells, find_own_body
-from multilica.results import DriveView, PairRegistration
+from multilica.results import DriveView, PairRegistration, Registration
 from multilica.stages.ground import estimate_level
 from multilica.visibility.sensor_view import ROUGH_TOLERANCES, score_pose
 
@@ -89,19 +90,33 @@ def contradiction_at(
         apart_from: stops that are not tested.
     """
     for stop in stops:
-        if stop.name in apart_from:
-            continue
-        views = [stop.lidars[name].view for name in (pose.target, pose.source) if name in stop.lidars]
-        if len(views) == 2 and (target := views[0]) is not None and (source := views[1]) is not None:
-            score = score_pose(target, source, pose, *ROUGH_TOLERANCES).visibility
-            if score.contradiction > _FIRM * config.acceptance.min_log_odds_margin:
-                return stop.name
+        found = None if stop.name in apart_from else _score(stop, pose)
+        if found is not None and found.visibility.contradiction > _FIRM * config.acceptance.min_log_odds_margin:
+            return stop.name
     return ""
+
+
+def lead_at(stops: Sequence[DriveStop], name: str, registered: Registration, pose: RigidTransform) -> float:
+    """Return by how much a registered pose of two LiDARs is likelier than another, by their beams at a stop.
+
+    Returns:
+        Log-odds; -inf if the stop is none of those, or not both LiDARs have a view there.
+    """
+    found = next((_score(stop, pose) for stop in stops if stop.name == name), None)
+    return -math.inf if found is None else registered.rough_lead_over(found)
 
 
 def least_evidence(config: CalibrationConfig) -> float:
     """Return the evidence that a link needs where others tell its pose."""
     return config.acceptance.min_evidence - _WEAKER * config.acceptance.min_log_odds_margin
+
+
+def _score(stop: DriveStop, pose: RigidTransform) -> Registration | None:
+    """Score a pose of two LiDARs by their beams at a stop; None if not both have a view there."""
+    views = [stop.lidars[name].view for name in (pose.target, pose.source) if name in stop.lidars]
+    if len(views) < 2 or (target := views[0]) is None or (source := views[1]) is None:
+        return None
+    return score_pose(target, source, pose, *ROUGH_TOLERANCES)
 
 
 def _to_level(lidar: str, levels: Mapping[str, RigidTransform]) -> FloatArray:

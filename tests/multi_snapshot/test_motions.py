@@ -169,7 +169,7 @@ def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
     given = []
 
     def joined(*args):
-        given.append(args[4:])
+        given.append(args[5:])
         pose, covariance = (None, None) if sigma_m is None else (LIDARS["B"], sigma_m**2 * np.eye(6))
         placement = SimpleNamespace(T_target_source=pose, covariance=covariance, status="placed")
         return SimpleNamespace(placements=[placement], time_limit=None)
