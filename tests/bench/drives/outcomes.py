@@ -15,6 +15,7 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.drive_calibration import CalibrateAlone, calibrate_alone, calibrate_jointly
 from multilica.errors import UsageError
 from multilica.events import ignore
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.multi_snapshot import SnapshotRun, join
 from multilica.orchestration import open_calibration_workers
@@ -161,7 +162,7 @@ def run_drive(case: DriveCase) -> DriveOutcome:
     alone = {each.lidar: each for each in without.placements}
     by_hand_eye = offsets_of_hand_eye_m(made, result.target) if case.row.logged else {}
     lidars = [
-        _lidar(made, result.target, each, alone[each.lidar], by_hand_eye.get(each.lidar))
+        _lidar(made, result, each, alone[each.lidar], by_hand_eye.get(each.lidar))
         for each in result.placements
         if each.lidar != result.target
     ]
@@ -212,15 +213,18 @@ def _knock(case: DriveCase, seed: int) -> tuple[str, dict[str, RigidTransform]]:
 
 
 def _lidar(
-    made: SimulatedDrive, target: str, found: LidarPlacement, alone: LidarPlacement, hand_eye_m: FloatArray | None
+    made: SimulatedDrive,
+    result: CalibrationResult,
+    found: LidarPlacement,
+    alone: LidarPlacement,
+    hand_eye_m: FloatArray | None,
 ) -> LidarOutcome:
-    offset = _offset(made, target, found)
+    target = result.target
+    offset = offset_of(found, target, made.truths, result.knocks)
     if offset is None:
         return LidarOutcome(found.lidar, found.status)
-    distance = (
-        float("inf") if found.covariance is None else float(np.sqrt(offset @ np.linalg.solve(found.covariance, offset)))
-    )
-    without = _offset(made, target, alone) if alone.placed else None
+    distance = _distance(offset, found)
+    without = offset_of(alone, target, made.truths) if alone.placed else None
     alone_mm = None if without is None else 1e3 * float(np.linalg.norm(without[3:]))
     in_plane = None
     if hand_eye_m is not None:
@@ -228,13 +232,24 @@ def _lidar(
     return LidarOutcome(found.lidar, found.status, offset, distance, alone_mm, in_plane)
 
 
-def _offset(made: SimulatedDrive, target: str, found: LidarPlacement) -> FloatArray | None:
-    """Return the offset from the truth, of a LiDAR that moved from the nearer one; None without a pose."""
+def offset_of(
+    found: LidarPlacement, target: str, truths: Sequence[Extrinsics], knocks: Sequence[Knock] = ()
+) -> FloatArray | None:
+    """Return the offset from the nearest truth of the stops that knocks do not leave out; None without a pose."""
     pose = found.T_target_source
     if pose is None or not (found.placed or found.uncertain):
         return None
-    offsets = [pose.offset_from(truth.between(target, found.lidar)) for truth in (made.truths[0], made.truths[-1])]
-    return min(offsets, key=lambda offset: float(np.linalg.norm(offset[3:])))
+    left_out = {stop for knock in knocks if knock.lidar in (target, found.lidar) for stop in knock.left_out}
+    counting = [truth for number, truth in enumerate(truths, 1) if f"stop {number}" not in left_out]
+    offsets = [pose.offset_from(truth.between(target, found.lidar)) for truth in counting]
+    return min(offsets, key=lambda offset: _distance(offset, found))
+
+
+def _distance(offset: FloatArray, found: LidarPlacement) -> float:
+    """Return the Mahalanobis distance of an offset by the covariance of the pose; inf without one."""
+    if found.covariance is None:
+        return float("inf")
+    return float(np.sqrt(offset @ np.linalg.solve(found.covariance, offset)))
 
 
 def _used_links(made: SimulatedDrive, result: CalibrationResult, links: Sequence[ViewPair]) -> list[LinkOutcome]:

@@ -9,12 +9,13 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import Knock, PairRegistration, Verdict, ViewPair
+from multilica.results import Knock, LidarPlacement, PairRegistration, Verdict, ViewPair
 from multilica.simulate import RIGS, ROUTES, SCENES, simulate_drive
 from tests.bench.drives import drives
 from tests.bench.drives.cases import BESIDE_HAND_EYE, KNOCK, STRAIGHT, TURNING, drives_of
-from tests.bench.drives.outcomes import DriveOutcome, LidarOutcome, LinkOutcome, link_outcome
+from tests.bench.drives.outcomes import DriveOutcome, LidarOutcome, LinkOutcome, link_outcome, offset_of
 from tests.bench.drives.ways import in_plane_mm
 
 _TURNING, _KNOCKED, _STRAIGHT, _LOGGED = (
@@ -88,6 +89,20 @@ def test_a_link_is_compared_with_the_true_poses():
         found = link_outcome(made, ViewPair(pair, "stop 1", "stop 2"))
         assert found.off_m == pytest.approx(off_m, abs=1e-6)
         assert found.wrong is wrong
+
+
+@pytest.mark.parametrize(
+    ("lidar", "left_out", "off_m"),
+    [("rear", (), 0.0), ("rear", ("stop 1", "stop 2"), 0.02), ("front", ("stop 1", "stop 2"), 0.02)],
+)
+def test_a_knocked_lidar_is_compared_with_the_stops_that_count(lidar, left_out, off_m):
+    before = RigidTransform.from_xyz_rpy("front", "rear", (-3.0, 0.0, 0.0), (0.0, 0.0, np.pi))
+    after = RigidTransform.from_xyz_rpy("front", "rear", (-3.0, 0.02, 0.0), (0.0, 0.0, np.pi))
+    truths = [Extrinsics("front", {"rear": pose}) for pose in (before, before, after)]
+    knocks = [replace(_HIT, lidar=lidar, left_out=left_out)]
+    placement = LidarPlacement("rear", "placed", "placed", before, covariance=1e-4 * np.eye(6))
+    offset = offset_of(placement, "front", truths, knocks)
+    assert np.linalg.norm(offset[3:]) == pytest.approx(off_m, abs=1e-9)
 
 
 def test_an_error_in_the_plane_has_no_height():
