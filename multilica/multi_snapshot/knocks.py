@@ -82,7 +82,10 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
     found = [
         each
         for each in _motions(root, solution, stops)
-        if each.probability <= _PROBABILITY and each.explained >= _LEAST_CHI_SQUARED and each.may_be_knock
+        if each.probability <= _PROBABILITY
+        and each.explained >= _LEAST_CHI_SQUARED
+        and each.may_be_knock
+        and each.is_told
     ]
     if not found:
         return None
@@ -130,6 +133,14 @@ class _Motion:
     distance_m: float
     angle_rad: float
     apart: ViewSolution
+
+    @property
+    def is_told(self) -> bool:
+        """True if two pairs or more tell the pose of the LiDAR on either side: alone, one may just be wrong."""
+        return all(
+            sum(name in pair.registration.lidars for pair in self.apart.pairs) > 1
+            for name in (self.lidar, self.lidar + _AFTER)
+        )
 
     @property
     def may_be_knock(self) -> bool:

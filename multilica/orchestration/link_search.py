@@ -56,7 +56,7 @@ class LinkSearch:
     Args:
         stops: with prepared clouds.
         deadline_s: on `time.monotonic`.
-        levels: poses of LiDARs over the ground.
+        levels: poses of LiDARs over the ground; empty: not known yet.
         links: by the labels of their views, as all below.
         weak: links with too little evidence to count alone.
         tested: pairs whose implied pose was tested.
@@ -171,7 +171,8 @@ class LinkSearch:
 
     def share(self) -> dict[DriveView, PreparedLidar]:
         """Prepare all views, and share them with the workers."""
-        self.levels = levels_of(self.stops, self.config)
+        if not self.levels:
+            self.levels = levels_of(self.stops, self.config)
         views = prepare_views(self.stops, self.levels, self.config)
         for view, prepared in views.items():
             self.workers.share(view.label, prepared)

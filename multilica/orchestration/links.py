@@ -61,7 +61,7 @@ def mark_unique(
     stops: Sequence[DriveStop], config: CalibrationConfig, workers: Workers, found: FoundLinks
 ) -> FoundLinks:
     """Mark the links that fit at no place beside their own, so that others need to tell only their attitude."""
-    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"), found.levels)
     counting = [link for link in found.links if link.counts]
     try:
         search.share()
@@ -93,7 +93,7 @@ def follow_motions(
     motions = read_motions() if _may_link(stops, config) else ()
     if not motions:
         return found
-    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
+    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels)
     try:
         search.follow(motions)
     finally:
@@ -124,7 +124,7 @@ def follow_poses(
     Returns:
         All links, those with little evidence among the weak ones.
     """
-    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
+    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels)
     known = {link.views for link in found.links}
     try:
         search.follow_poses(poses, known, lidars)

@@ -202,6 +202,7 @@ def estimate_ground(
     middle_m: FloatArray | None = None,
     known: RigidTransform | None = None,
     biases: Sequence[SensorBias] = (),
+    least_score: float = -np.inf,
 ) -> tuple[GroundPlane | None, str]:
     """Find the plane on which the vehicle stands, and from it roll, pitch and z of the target LiDAR (LiDAR-to-ground).
 
@@ -217,6 +218,7 @@ def estimate_ground(
         middle_m: (3,) of the vehicle; by default the target.
         known: ``T_base_target`` as a rig file has it; without it x, y and yaw are zero.
         biases: of the LiDARs, if they were estimated.
+        least_score: see `GroundSurface.score`; a plane with less is none.
 
     Returns:
         The plane, or None, and a sentence that describes it or says why there is none.
@@ -234,7 +236,7 @@ def estimate_ground(
         )
         for normal, height_m in _planes(points_m - middle_m, config.ground, config.runtime.seed)
     )
-    surfaces = [each for each in fitted if each.below <= _MAX_SHARE_BELOW]
+    surfaces = [each for each in fitted if each.below <= _MAX_SHARE_BELOW and each.score >= least_score]
     if not surfaces:
         return None, (
             f"no plane lies under the rig: tilted by at most {config.ground.max_tilt_deg:g} deg against the z axis of "
@@ -329,13 +331,18 @@ def _planes(points_m: FloatArray, config: GroundConfig, seed: int) -> Iterator[t
 
 
 def estimate_level(
-    target: str, clouds: Mapping[str, FloatArray], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+    target: str,
+    clouds: Mapping[str, FloatArray],
+    poses: Mapping[str, RigidTransform],
+    config: CalibrationConfig,
+    least_score: float = -np.inf,
 ) -> RigidTransform | None:
     """Estimate the pose of the target LiDAR in a frame with z up; None without a ground plane.
 
     Args:
         clouds: per LiDAR (N, 3) in its own frame.
         poses: of the placed LiDARs in the target's frame; empty to use the target alone.
+        least_score: of the plane; see `GroundSurface.score`.
     """
     known = poses or {target: RigidTransform.identity(target, target)}
     samples = []
@@ -345,5 +352,5 @@ def estimate_level(
             rows = np.random.default_rng(0).choice(len(points_m), most, replace=False)
             samples.append(pose.apply(points_m[np.sort(rows)]))
     points_m = np.concatenate([np.empty((0, 3)), *samples])
-    ground, _ = estimate_ground(target, points_m, config, middle_of(known))
+    ground, _ = estimate_ground(target, points_m, config, middle_of(known), least_score=least_score)
     return None if ground is None else RigidTransform(LEVEL_FRAME, target, ground.T_base_target.matrix)

@@ -297,6 +297,17 @@ def test_a_knock_about_a_stop_without_views_is_dated_around_it():
     assert knock.left_out == ("stop 3", "stop 4")
 
 
+@pytest.mark.parametrize(("missing", "is_told"), [("", True), ("A1-C1", False)])
+def test_one_link_alone_tells_no_knock(missing, is_told):
+    """It may just be wrong: then it is refused."""
+    every = [each for each in _EVERY.split() if each != missing]
+    moved = {"stop 2", "stop 3", "stop 4"}
+    found = _refined(list(_knocked(pairs(" ".join(every), np.random.default_rng(10)), "C", moved)))
+    assert bool(found.knocks) == is_told
+    refused = {(link.target, link.source): link.reason for link in found.links if not link.used}
+    assert is_told or refused == {("C", "C"): "it contradicts other links and pairs"}
+
+
 @pytest.mark.parametrize("lidar", ["A", "B", "C"])
 def test_a_knock_that_chance_may_explain_is_a_possible_one(lidar):
     found = _refined(list(_knocked(pairs(_EVERY, np.random.default_rng(10)), lidar, {"stop 4"}, 0.008)))

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ground on which most stops agree levels a LiDAR."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from multilica.config import CalibrationConfig
+from multilica.geometry import RigidTransform
+from multilica.orchestration import stop_views
+from multilica.orchestration.stop_views import DriveStop, levels_of
+from multilica.stages.ground import estimate_level
+
+
+def _level(roll_deg=0.0, height_m=1.5):
+    return RigidTransform.from_xyz_rpy("level", "front", (0.0, 0.0, height_m), (np.deg2rad(roll_deg), 0.0, 0.0))
+
+
+@pytest.fixture
+def found(monkeypatch):
+    """Return the level of a LiDAR out of those of its stops; None for a stop without ground."""
+
+    def of(*levels):
+        left = iter(levels)
+        monkeypatch.setattr(stop_views, "estimate_level", lambda *_: next(left))
+        cloud = SimpleNamespace(cloud=SimpleNamespace(points_m=np.zeros((1, 3))))
+        stops = [DriveStop(f"stop {number}", {"front": cloud}, ()) for number, _ in enumerate(levels, 1)]
+        return levels_of(stops, CalibrationConfig()).get("front")
+
+    return of
+
+
+def test_most_stops_decide(found):
+    wall, road, also_road = _level(9.0, 2.1), _level(0.5), _level(1.0, 1.55)
+    assert found(wall, road, also_road) is road
+
+
+@pytest.mark.parametrize("other", [_level(4.0), _level(0.0, 1.9), None], ids=["slope", "height", "no ground"])
+def test_stops_that_disagree_tell_none(found, other):
+    assert found(_level(), other) is None
+
+
+def test_little_ground_is_none():
+    """A strip of ground 12 m away is a plane, but no ground near the vehicle."""
+    rng = np.random.default_rng(1)
+    near_m, far_m = (np.column_stack([rng.uniform(x, x + 20.0, 4000), rng.uniform(-9.0, 9.0, 4000)]) for x in (3, 12))
+    for flat_m, is_ground in ((near_m, True), (far_m, False)):
+        cloud = {"front": np.column_stack([flat_m, np.full(4000, -1.5) + rng.normal(0.0, 0.01, 4000)])}
+        level = estimate_level("front", cloud, {}, CalibrationConfig(), 10.0)
+        assert (level is not None) == is_ground
+        assert estimate_level("front", cloud, {}, CalibrationConfig()) is not None
