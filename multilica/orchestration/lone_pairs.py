@@ -10,13 +10,13 @@ import numpy as np
 from multilica import events
 from multilica.acceptance.accept import is_in_long_place, may_compete
 from multilica.acceptance.pair_graph import PairGraph
-from multilica.acceptance.rig import may_join
+from multilica.acceptance.rig import is_contradicted, may_join
 from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import register_sides
 from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct, is_near
-from multilica.results import Hypothesis, PairKey, PairRegistration, Reason, Registration, Verdict, connected
+from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Reason, Registration, Verdict, connected
 from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import leads_surely
 from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
@@ -43,23 +43,45 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
 
 
 def doubt_merge(
-    state: CalibrationState, merge: PairRegistration, between: Sequence[PairRegistration]
+    state: CalibrationState, merge: PairRegistration, groups: tuple[Group, Group], between: Sequence[PairRegistration]
 ) -> PairRegistration:
-    """Leave two groups undecided that no pair joins, and that fit with little evidence in a scene that may repeat.
+    """Leave two groups undecided that no pair joins, if a pair of theirs or a scene that may repeat speaks against it.
 
-    They need a margin more if one of their pairs has another possible pose: wrong merges had an evidence of 9.
+    A pair that others contradict, and that has more evidence than the merge, does at another pose. In a scene that may
+    repeat, groups need more evidence. They need a margin more if one of their pairs has another possible pose: wrong
+    merges had an evidence of 9.
 
     Args:
+        groups: of the merge's target and source.
         between: the registrations of their members.
     """
+    if not may_join(merge) or any(may_join(pair) for pair in between):
+        return merge
+    joins = f"no pair joins the groups of {merge.target} and {merge.source}"
+    against = next((pair for pair in between if is_contradicted(pair) and _is_stronger(pair, merge, groups)), None)
+    if against is not None:
+        return replace(merge, verdict=Verdict("undecided", (_stronger_pair(joins, merge, against),)))
     limits = state.config.acceptance
     ambiguous = any("ambiguous" in pair.verdict.codes for pair in between)
     least = limits.min_evidence + (2.0 if ambiguous else 1.0) * limits.min_log_odds_margin
-    joined = any(may_join(pair) for pair in between)
-    if not may_join(merge) or joined or merge.evidence >= least or not (ambiguous or _scene_repeats(state)):
+    if merge.evidence >= least or not (ambiguous or _scene_repeats(state)):
         return merge
-    joins = f"no pair joins the groups of {merge.target} and {merge.source}"
     return replace(merge, verdict=Verdict("undecided", (_may_repeat(joins, merge.evidence, least),)))
+
+
+def _is_stronger(pair: PairRegistration, merge: PairRegistration, groups: tuple[Group, Group]) -> bool:
+    """Return whether a pair puts two groups elsewhere than their merge, with more evidence."""
+    target, source = groups
+    there = target.pose_of(source, pair.T_target_source)
+    return pair.evidence > merge.evidence and is_distinct(there, [merge.T_target_source])
+
+
+def _stronger_pair(joins: str, merge: PairRegistration, pair: PairRegistration) -> Reason:
+    text = (
+        f"{joins}, and {pair.source} fits {pair.target} better at another pose (evidence {pair.evidence:.1f} against "
+        f"{merge.evidence:.1f}), though other pairs contradict that"
+    )
+    return Reason("ambiguous", merge.evidence - pair.evidence, 0.0, text)
 
 
 _Joint = tuple[Sequence[PairRegistration], set[str], set[str]]

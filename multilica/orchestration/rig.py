@@ -129,7 +129,8 @@ def _register_groups(
 
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
     if found is not None:
-        found = doubt_merge(state, found, pairs)
+        of_roots = {group.root: group, other.root: other}
+        found = doubt_merge(state, found, (of_roots[found.target], of_roots[found.source]), pairs)
         state.observe(events.GroupsRegistered(found))
     return found
 

@@ -10,7 +10,7 @@ import pytest
 from multilica.config import CalibrationConfig
 from multilica.events import VerdictChanged
 from multilica.orchestration import lone_pairs
-from multilica.results import Reason, Verdict
+from multilica.results import Group, Reason, Verdict
 from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
 from tests.unit.made_pairs import pose, undecided
 
@@ -210,13 +210,16 @@ def test_a_lone_pair_needs_more_evidence_in_a_tunnel(doubt):
         assert not doubt(other)[0]
 
 
+_APART = Group.of_one("a"), Group.of_one("d")
+
+
 @pytest.mark.parametrize("distinctive", [100, 600])
 @pytest.mark.parametrize("between", [[], [linked("a", "d", 100)]], ids=["no pair", "a pair"])
 def test_groups_without_a_pair_need_as_much(distinctive, between):
     merge = linked("a", "d", distinctive)
-    found = lone_pairs.doubt_merge(_state([_TWO_PLACES]), merge, between)
+    found = lone_pairs.doubt_merge(_state([_TWO_PLACES]), merge, _APART, between)
     assert found.verdict.codes == (("held_by_repetition",) if distinctive == 100 and not between else ())
-    assert lone_pairs.doubt_merge(_state([]), merge, between) is merge
+    assert lone_pairs.doubt_merge(_state([]), merge, _APART, between) is merge
 
 
 @pytest.mark.parametrize(("code", "doubted"), [("ambiguous", True), ("not_observable", False)])
@@ -224,9 +227,29 @@ def test_groups_with_an_ambiguous_pair_need_a_margin_more(code, doubted):
     """Another pose is possible for two of their LiDARs, and either may fit by chance."""
     between = [linked("a", "d", 100, undecided(code))]
     merge, clear = linked("a", "d", 600), linked("a", "d", 6000)
-    found = lone_pairs.doubt_merge(_state([]), merge, between)
+    found = lone_pairs.doubt_merge(_state([]), merge, _APART, between)
     assert found.verdict.codes == (("held_by_repetition",) if doubted else ())
-    assert lone_pairs.doubt_merge(_state([]), clear, between) is clear
+    assert lone_pairs.doubt_merge(_state([]), clear, _APART, between) is clear
+
+
+@pytest.mark.parametrize(
+    ("distinctive", "elsewhere", "code", "doubted"),
+    [
+        (2000, True, "cycle_contradicted", True),
+        (300, True, "cycle_contradicted", False),
+        (2000, False, "cycle_contradicted", False),
+        (2000, True, "not_observable", False),
+    ],
+    ids=["stronger", "weaker", "same pose", "not contradicted"],
+)
+def test_a_contradicted_pair_with_more_evidence_speaks_against_a_merge(distinctive, elsewhere, code, doubted):
+    """The pair is between other members of the groups than the roots, and the other way round."""
+    groups = Group("a", {name: true_pose("a", name) for name in "ab"}), Group.of_one("d")
+    made = linked("d", "b", distinctive, undecided(code))
+    against = moved_to(made, made.T_target_source @ pose("b", "b", (7.0, 0.0, 0.0))) if elsewhere else made
+    merge = linked("a", "d", 600)
+    found = lone_pairs.doubt_merge(_state([]), merge, groups, [against])
+    assert found.verdict.codes == (("ambiguous",) if doubted else ())
 
 
 def test_a_scene_that_does_not_repeat_asks_for_no_more(doubt):
