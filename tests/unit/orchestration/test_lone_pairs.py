@@ -242,7 +242,7 @@ def test_groups_with_an_ambiguous_pair_need_a_margin_more(code, doubted):
     ],
     ids=["stronger", "weaker", "same pose", "not contradicted"],
 )
-def test_a_contradicted_pair_with_more_evidence_speaks_against_a_merge(distinctive, elsewhere, code, doubted):
+def test_a_stronger_contradicted_pair_speaks_against_a_merge(distinctive, elsewhere, code, doubted):
     """The pair is between other members of the groups than the roots, and the other way round."""
     groups = Group("a", {name: true_pose("a", name) for name in "ab"}), Group.of_one("d")
     made = linked("d", "b", distinctive, undecided(code))
