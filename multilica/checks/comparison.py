@@ -273,17 +273,20 @@ def _decide(
     off: float, limit: float, sigma: float | None, probability: float | None, scale: float, unit: str
 ) -> tuple[CheckVerdict, str]:
     """Return the verdict on one of translation and rotation, with its reason."""
-    size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
+    size, most, known = (f"{_digits(scale * value)} {unit}" for value in (off, limit, sigma or 0.0))
     if off > limit:
         if probability is None or probability < LEAST_PROBABILITY:
             return "outside", f"{size} is above {most}"
-        chance = (
-            f"{100.0 * probability:.2g} % of unmoved LiDARs differ as much (sigma {scale * (sigma or 0.0):.2g} {unit})"
-        )
+        chance = f"{100.0 * probability:.2g} % of unmoved LiDARs differ as much (sigma {known})"
         return "undecided", f"{size} is above {most}, but {chance}"
     if sigma is not None and sigma > limit:
-        return "undecided", f"its sigma of {scale * sigma:.2g} {unit} is above the tolerance of {most}"
+        return "undecided", f"its sigma of {known} is above the tolerance of {most}"
     return "within", f"{size} of {most}"
+
+
+def _digits(value: float) -> str:
+    """Return a figure with three digits, but no power of ten."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:

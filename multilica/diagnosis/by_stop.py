@@ -42,7 +42,7 @@ def _known(document: ResultDocument, lidar: str, own: list[StopLink], turn_deg: 
         yield "All its links are with itself: they tell how it moves, not where it is on the vehicle."
     ways = sum(motion.used for motion in document.motions if motion.lidar == lidar)
     if ways:
-        yield f"Odometry followed it over {ways} ways between stops."
+        yield f"Odometry followed it over {ways} {'way' if ways == 1 else 'ways'} between stops."
     if turn_deg is not None:
         yield f"The linked stops turn by at most {turn_deg:.0f} degrees."
 

@@ -90,7 +90,8 @@ def test_the_frame_of_the_reference_does_not_matter():
         (0.001, 0.031, "outside", "31 mm is above 30 mm"),
         (0.02, 0.031, "undecided", "49 % of unmoved LiDARs differ as much (sigma 20 mm)"),
         (0.04, 0.001, "undecided", "its sigma of 40 mm is above the tolerance of 30 mm"),
-        (0.04, 0.5, "outside", "500 mm is above 30 mm"),
+        (0.1022, 0.001, "undecided", "its sigma of 102 mm is above the tolerance of 30 mm"),
+        (0.04, 1.2456, "outside", "1246 mm is above 30 mm"),
     ],
 )
 def test_sigma_and_tolerance_decide(sigma_m, moved_m, verdict, said):
