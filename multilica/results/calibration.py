@@ -105,7 +105,7 @@ class SnapshotReport:
         if self.refusal:
             return f"left out: {self.refusal}"
         parts = [
-            f"OUTLIER: {each.lidar} is off by {each.text} where the other snapshots agree"
+            f"OUTLIER: {each.lidar} is off by {each.text} from the other snapshots"
             for each in self.deviations
             if each.outlier
         ]
