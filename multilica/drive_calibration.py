@@ -34,7 +34,8 @@ from multilica.orchestration.links import (
 )
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at, lead_at
+from multilica.orchestration.stop_beams import contradiction_at, lead_at
+from multilica.orchestration.stop_views import DriveStop
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.registration.poses import is_near
@@ -157,7 +158,7 @@ def _link(
     against, lead = partial(contradiction_at, stops, config), partial(lead_at, stops)
 
     def joined(found: FoundLinks) -> CalibrationResult:
-        return join(runs, config, found.links, against, lead, found.motions, found.levels)
+        return join(runs, config, found.links, against, lead, motions=found.motions, levels=found.levels)
 
     with threadpool_limits(1):
         found = search_links(stops, config, workers, deadline_s)

@@ -193,6 +193,13 @@ def _why_not_in(
         return ""
     if alone.T_target_source is None:
         return f"{snapshot}: {alone.reason}"
+    of_target = next((each for each in result.placements if each.lidar == target), alone)
+    if lidar == result.target and of_target.T_target_source is None:
+        return f"{snapshot}: {target} is not placed relative to it: {of_target.reason}"
+    own = next((conflict for conflict in conflicts if conflict.lidars[0] == lidar), None)
+    if own is not None:
+        by = f"outvoted by {', '.join(own.others)}"
+        return f"{snapshot}: its pose is {by}, {own.distance_m:.3f} m and {own.angle_deg:.2f} deg away"
     if conflicts:
         inconsistent = ", ".join(conflict.lidars[0] for conflict in conflicts)
         return f"{snapshot}: connected through pairs that contradict other snapshots on {inconsistent}"

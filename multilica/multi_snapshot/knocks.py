@@ -82,14 +82,12 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
     found = [
         each
         for each in _motions(root, solution, stops)
-        if each.probability <= _PROBABILITY
-        and each.explained >= _LEAST_CHI_SQUARED
-        and each.may_be_knock
-        and each.is_told
+        if each.probability <= _PROBABILITY and each.explained >= _LEAST_CHI_SQUARED and each.may_be_knock
     ]
-    if not found:
+    told = [each for each in found if each.is_told]
+    if not told:
         return None
-    best = max(found, key=lambda each: (round(each.explained, 3), each.lidar != root))
+    best = max(told, key=lambda each: (round(each.explained, 3), each.lidar != root))
     numbers = [
         each.number for each in found if each.lidar == best.lidar and each.explained > best.explained - _LIKELIER
     ]

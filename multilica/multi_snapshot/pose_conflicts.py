@@ -43,7 +43,7 @@ def excluded_poses(
                 if (known := _undecided(pair, pairs[other], result)) and _excludes(other, known, pose, lead_at, config)
             }
             if against and len(against) >= len(same):
-                distance_m, angle_rad = pose.distance_to(_between(pair, next(iter(against.values()))))
+                distance_m, angle_rad = pose.distance_to(next(iter(against.values())).with_target(pair.target))
                 lidars = (min(pair.lidars), max(pair.lidars))
                 angle_deg = float(np.rad2deg(angle_rad))
                 found.append(PoseConflict(name, lidars, tuple(against), distance_m, angle_deg, outvoted=True))
@@ -97,14 +97,9 @@ def inconsistent_lidars(conflicts: Sequence[PoseConflict], target: str) -> tuple
 
 
 def _has_pose(pair: PairRegistration, other: PairRegistration) -> bool:
-    return pair.lidars == other.lidars and not is_distinct(
-        _between(other, pair.T_target_source), [other.T_target_source]
-    )
-
-
-def _between(pair: PairRegistration, pose: RigidTransform) -> RigidTransform:
-    """Return a pose of the LiDARs of a pair from its target to its source."""
-    return pose if pose.target == pair.target else pose.inverse()
+    if pair.lidars != other.lidars:
+        return False
+    return not is_distinct(pair.T_target_source.with_target(other.target), [other.T_target_source])
 
 
 def _undecided(
@@ -127,7 +122,7 @@ def _excludes(
     snapshot: str, known: PairRegistration, pose: RigidTransform, lead_at: LeadAt, config: CalibrationConfig
 ) -> bool:
     """Return whether a pose is none that the undecided pair found, and fits worse than its best one."""
-    there = _between(known, pose)
+    there = pose.with_target(known.target)
     if not is_distinct(there, [each.T_target_source for each in known.registrations]):
         return False
     return lead_at(snapshot, known.registrations[0], there) >= config.acceptance.min_log_odds_margin

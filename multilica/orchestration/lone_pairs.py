@@ -45,11 +45,11 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
 def doubt_merge(
     state: CalibrationState, merge: PairRegistration, groups: tuple[Group, Group], between: Sequence[PairRegistration]
 ) -> PairRegistration:
-    """Leave two groups undecided that no pair joins, if a pair of theirs or a scene that may repeat speaks against it.
+    """Leave two groups undecided that no pair joins, if one of their pairs or a scene that may repeat casts doubt.
 
-    A pair that others contradict, and that has more evidence than the merge, does at another pose. In a scene that may
-    repeat, groups need more evidence. They need a margin more if one of their pairs has another possible pose: wrong
-    merges had an evidence of 9.
+    A pair at another pose with more evidence than the merge does so, even if other pairs contradict it. In a scene that
+    may repeat, groups need more evidence. They need a margin more if one of their pairs has another possible pose:
+    wrong merges had an evidence of 9.
 
     Args:
         groups: of the merge's target and source.

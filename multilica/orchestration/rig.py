@@ -129,8 +129,7 @@ def _register_groups(
 
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
     if found is not None:
-        of_roots = {group.root: group, other.root: other}
-        found = doubt_merge(state, found, (of_roots[found.target], of_roots[found.source]), pairs)
+        found = doubt_merge(state, found, _groups_of(found, group, other)[found.target, found.source], pairs)
         state.observe(events.GroupsRegistered(found))
     return found
 

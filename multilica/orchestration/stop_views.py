@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """LiDARs prepared for registration with their views at other stops."""
 
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +11,9 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.registration.movable import find_movable
 from multilica.registration.own_body import BodyCells, find_own_body
-from multilica.results import DriveView, PairRegistration, Registration
+from multilica.results import DriveView, PairRegistration
 from multilica.stages.ground import estimate_level
-from multilica.visibility.sensor_view import ROUGH_TOLERANCES, score_pose
 
-# Margins of log-odds against a pose that is a few centimetres off: a handful of points in empty space is none.
-_FIRM = 2.0
 # Such a share of the margin of log-odds is less than what links that confirm each other add to their evidence.
 _WEAKER = 0.5
 
@@ -96,42 +92,9 @@ def with_movable(
     return found
 
 
-def contradiction_at(
-    stops: Sequence[DriveStop], config: CalibrationConfig, pose: RigidTransform, apart_from: Collection[str]
-) -> str:
-    """Return the first stop at which the beams of two LiDARs contradict their pose on the vehicle; "" if none do.
-
-    Args:
-        apart_from: stops that are not tested.
-    """
-    for stop in stops:
-        found = None if stop.name in apart_from else _score(stop, pose)
-        if found is not None and found.visibility.contradiction > _FIRM * config.acceptance.min_log_odds_margin:
-            return stop.name
-    return ""
-
-
-def lead_at(stops: Sequence[DriveStop], name: str, registered: Registration, pose: RigidTransform) -> float:
-    """Return by how much a registered pose of two LiDARs is likelier than another, by their beams at a stop.
-
-    Returns:
-        Log-odds; -inf if the stop is none of those, or not both LiDARs have a view there.
-    """
-    found = next((_score(stop, pose) for stop in stops if stop.name == name), None)
-    return -math.inf if found is None else registered.rough_lead_over(found)
-
-
 def least_evidence(config: CalibrationConfig) -> float:
     """Return the evidence that a link needs where others tell its pose."""
     return config.acceptance.min_evidence - _WEAKER * config.acceptance.min_log_odds_margin
-
-
-def _score(stop: DriveStop, pose: RigidTransform) -> Registration | None:
-    """Score a pose of two LiDARs by their beams at a stop; None if not both have a view there."""
-    views = [stop.lidars[name].view for name in (pose.target, pose.source) if name in stop.lidars]
-    if len(views) < 2 or (target := views[0]) is None or (source := views[1]) is None:
-        return None
-    return score_pose(target, source, pose, *ROUGH_TOLERANCES)
 
 
 def _is_same_ground(one: RigidTransform, other: RigidTransform) -> bool:

@@ -10,7 +10,8 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.multi_snapshot import SnapshotRun, join
 from multilica.multi_snapshot.pose_conflicts import excluded_poses
 from multilica.multi_snapshot.trusted_links import refine_linked
-from multilica.orchestration.stop_views import DriveStop, lead_at
+from multilica.orchestration.stop_beams import lead_at
+from multilica.orchestration.stop_views import DriveStop
 from multilica.results import CalibrationResult, LidarPlacement, Verdict
 from multilica.simulate import simulate_drive
 from multilica.source_calibration import calibrate
@@ -85,11 +86,22 @@ def test_more_stops_with_the_same_pose_outvote_one():
 
 
 def test_an_excluded_pose_does_not_count():
-    runs = [_FOUND, _run("stop 2", open_poses=[_TRUTH])]
+    placements = (LidarPlacement("front", "the target"), LidarPlacement("rear", "placed", "placed", _WRONG))
+    alone = replace(_FOUND, result=replace(_FOUND.result, placements=placements))
+    runs = [alone, _run("stop 2", open_poses=[_TRUTH])]
     assert join(runs, _CONFIG)["rear"].placed
     found = join(runs, _CONFIG, lead_at=lambda *_: _MARGIN)
     assert not found["rear"].placed
     assert [report.outliers for report in found.snapshots] == [("rear",), ()]
+    assert "stop 1: its pose is outvoted by stop 2, 8.000 m and 180.00 deg away" in found["rear"].reason
+
+
+def test_the_target_of_a_stop_has_the_reason_of_the_other():
+    """Which of the two LiDARs is the target of a stop depends on their overlap there."""
+    run = _run("stop 1", open_poses=[_TRUTH])
+    placements = (LidarPlacement("rear", "the target", "target", pose("rear", "rear")), run.result.placements[0])
+    found = join([replace(run, result=replace(run.result, target="rear", placements=placements))], _CONFIG)
+    assert found["rear"].reason == "stop 1: front is not placed relative to it: nothing in common"
 
 
 @pytest.mark.parametrize("stop", ["stop 1", "stop 2"])

@@ -168,8 +168,8 @@ def view_pose_of(stop):
 def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
     given = []
 
-    def joined(*args):
-        given.append(args[5:])
+    def joined(*_, motions, levels):
+        given.append((motions, levels))
         pose, covariance = (None, None) if sigma_m is None else (LIDARS["B"], sigma_m**2 * np.eye(6))
         placement = SimpleNamespace(T_target_source=pose, covariance=covariance, status="placed")
         return SimpleNamespace(placements=[placement], time_limit=None)
@@ -203,7 +203,7 @@ def test_no_way_is_followed_after_the_time_limit(monkeypatch):
     monkeypatch.setattr(drive_calibration.time, "monotonic", lambda: clock_s[0])
     result = CalibrationResult("A", "made", (LidarPlacement("B", "made"),))
     monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks())
-    monkeypatch.setattr(drive_calibration, "join", lambda *_: result)
+    monkeypatch.setattr(drive_calibration, "join", lambda *_, **__: result)
     given = []
     monkeypatch.setattr(
         drive_calibration,

@@ -156,7 +156,7 @@ def test_all_links_lead_to_further_ones_where_none_confirms_them(monkeypatch):
     monkeypatch.setattr(drive_calibration, "mark_unique", lambda *arguments: arguments[3])
     monkeypatch.setattr(drive_calibration, "follow_poses", follow)
     monkeypatch.setattr(drive_calibration, "follow_motions", lambda *arguments: arguments[3])
-    monkeypatch.setattr(drive_calibration, "join", lambda *arguments: (joined.append(arguments[2]), result)[1])
+    monkeypatch.setattr(drive_calibration, "join", lambda *arguments, **_: (joined.append(arguments[2]), result)[1])
     drive_calibration._link((), (), CalibrationConfig(), Workers(), list, np.inf)
     assert asked == [(0, {*"ABC"}, {"B"})]
     assert len(joined[-1]) == 7

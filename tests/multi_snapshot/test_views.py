@@ -2,6 +2,7 @@
 """Poses of LiDARs and stops out of made registrations of views."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot import SnapshotRun, join
+from multilica.multi_snapshot import SnapshotRun, join, knocks
 from multilica.multi_snapshot.knocks import find_knock
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
@@ -306,6 +307,19 @@ def test_one_link_alone_tells_no_knock(missing, is_told):
     assert bool(found.knocks) == is_told
     refused = {(link.target, link.source): link.reason for link in found.links if not link.used}
     assert is_told or refused == {("C", "C"): "it contradicts other links and pairs"}
+
+
+@pytest.mark.parametrize(("explained", "left_out"), [(55.0, ("stop 1", "stop 2")), (40.0, ("stop 1",))])
+def test_a_time_that_one_link_tells_stays_possible(monkeypatch, explained, left_out):
+    """The stop between both times may be on either side of the motion."""
+    values = {"lidar": "B", "probability": 1e-9, "may_be_knock": True, "distance_m": 0.02, "angle_rad": 0.0}
+    motions = [
+        SimpleNamespace(number=1, explained=50.0, is_told=True, **values),
+        SimpleNamespace(number=2, explained=explained, is_told=False, **values),
+    ]
+    monkeypatch.setattr(knocks, "_motions", lambda *_: motions)
+    stops = [f"stop {number}" for number in range(1, 5)]
+    assert find_knock("A", SimpleNamespace(squared=100.0), stops).left_out == left_out
 
 
 @pytest.mark.parametrize("lidar", ["A", "B", "C"])

@@ -240,7 +240,7 @@ def offset_of(
     if pose is None or not (found.placed or found.uncertain):
         return None
     left_out = {stop for knock in knocks if knock.lidar in (target, found.lidar) for stop in knock.left_out}
-    counting = [truth for number, truth in enumerate(truths, 1) if f"stop {number}" not in left_out]
+    counting = [truth for number, truth in enumerate(truths, 1) if f"stop {number}" not in left_out] or truths
     offsets = [pose.offset_from(truth.between(target, found.lidar)) for truth in counting]
     return min(offsets, key=lambda offset: _distance(offset, found))
 
