@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairRegistration, Verdict, ViewPair
 
 # The ground that two LiDARs see is no common plane: by so much it differs in slope and height, with room for kerbs.
@@ -33,3 +33,10 @@ def ground_pairs(levels: Mapping[str, RigidTransform]) -> list[ViewPair]:
         )
         found.append(ViewPair(pair, "", ""))
     return found
+
+
+def vertical_of(ground: ViewPair) -> FloatArray:
+    """Return the vertical (3,) of such a pair along the axes of its target, of either sign."""
+    information = ground.registration.information
+    assert information is not None  # noqa: S101
+    return np.asarray(np.linalg.eigh(information[3:, 3:])[1][:, -1])

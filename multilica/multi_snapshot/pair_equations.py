@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, skew
+from multilica.multi_snapshot.common_ground import vertical_of
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import IndexArray, ViewPair
 
@@ -34,6 +35,7 @@ class PairEquations:
         columns: (P, 2, 2, 6) of the unknowns of LiDAR and stop; those after the last unknown are of known poses.
         registered: (P, 4, 4) matrices of the pairs.
         weights: (P, 6, 6) inverse covariances of the residuals.
+        verticals: (P, 3) unit axes of the target about which a pair tells no turn; 0 for pairs that tell all.
     """
 
     lidars: IndexArray
@@ -41,15 +43,25 @@ class PairEquations:
     columns: IndexArray
     registered: FloatArray
     weights: FloatArray
+    verticals: FloatArray
 
     @classmethod
-    def of(cls, poses: ViewPoses, pairs: Sequence[ViewPair], error: FloatArray | None = None) -> "PairEquations":
+    def of(
+        cls,
+        poses: ViewPoses,
+        pairs: Sequence[ViewPair],
+        grounds: Sequence[ViewPair] = (),
+        error: FloatArray | None = None,
+    ) -> "PairEquations":
         """Prepare the equations of pairs.
 
         Args:
             poses: with the unknowns; their values do not matter.
+            grounds: pairs of LiDARs that see the same ground, which tells no heading.
             error: covariance (6, 6) that each pair has besides its own.
         """
+        verticals = [np.zeros(3)] * len(pairs) + [vertical_of(pair) for pair in grounds]
+        pairs = [*pairs, *grounds]
         known = poses.columns
         of_lidar = {name: 6 * number for number, name in enumerate(poses.free)}
         of_stop: dict[str | None, int] = {
@@ -79,6 +91,7 @@ class PairEquations:
             columns=np.array(columns, dtype=np.intp).reshape(-1, 2, 2, 1) + np.arange(6),
             registered=registered,
             weights=weights,
+            verticals=np.reshape(verticals, (-1, 3)),
         )
 
     def at(self, poses: ViewPoses) -> Equations:
@@ -102,9 +115,8 @@ class PairEquations:
         rotations, xyz_m = stop_rotations @ of_lidars[..., :3, :3], arms_m + of_stops[..., :3, 3]
         to_target = np.swapaxes(rotations[:, 0], 1, 2)
         apart_m = xyz_m[:, 1] - xyz_m[:, 0]
-        turned = Rotation.from_matrix(
-            to_target @ rotations[:, 1] @ np.swapaxes(self.registered[:, :3, :3], 1, 2)
-        ).as_rotvec()
+        turns = Rotation.from_matrix(to_target @ rotations[:, 1] @ np.swapaxes(self.registered[:, :3, :3], 1, 2))
+        turned = _without_turn(turns, self.verticals)
         shifted_m = (to_target @ apart_m[..., None])[..., 0] - self.registered[:, :3, 3]
 
         by_views = np.zeros((len(self.lidars), 2, 6, 6))
@@ -122,3 +134,14 @@ class PairEquations:
                 columns = self.columns[:, side, number]
                 found[each[..., None], rows[..., None], columns[:, None]] += derivatives[:, side]
         return np.hstack([turned, shifted_m]), found[..., : poses.columns]
+
+
+def _without_turn(rotations: Rotation, axes: FloatArray) -> FloatArray:
+    """Return rotation vectors (P, 3) less the turn about an axis (P, 3) that comes first; an axis of 0 takes nothing.
+
+    Derivatives hold for small residuals, and a turn that nothing tells may be half a one.
+    """
+    quaternions = rotations.as_quat()
+    along = np.einsum("pi,pi->p", quaternions[:, :3], axes)
+    first = Rotation.from_rotvec(2.0 * np.arctan2(along, quaternions[:, 3])[:, None] * axes)
+    return np.asarray((rotations * first.inv()).as_rotvec())

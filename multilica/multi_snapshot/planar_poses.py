@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.multi_snapshot.common_ground import vertical_of
 from multilica.registration.view_poses import UNKNOWN
 from multilica.results import ViewPair
 
@@ -110,8 +111,7 @@ def _levels(grounds: Sequence[ViewPair]) -> dict[str, tuple[FloatArray, float]]:
     if not grounds:
         return {}
     first = grounds[0].registration
-    assert first.information is not None  # noqa: S101
-    up = np.linalg.eigh(first.information[3:, 3:])[1][:, -1]
+    up = vertical_of(grounds[0])
     ahead = np.eye(3)[int(np.argmin(np.abs(up)))]
     side = np.cross(up, ahead) / np.linalg.norm(np.cross(up, ahead))
     level = np.stack([np.cross(side, up), side, up])

@@ -119,8 +119,8 @@ class ViewSolution:
         if link not in self.pairs:
             return False
         jacobian, columns = self.poses.jacobian(link)
-        others = [pair for pair in (*self.pairs, *self.grounds) if pair is not link]
-        information = PairEquations.of(self.poses, others).at(self.poses).information
+        others = [pair for pair in self.pairs if pair is not link]
+        information = PairEquations.of(self.poses, others, self.grounds).at(self.poses).information
         inverse = np.linalg.inv(information + _prior(len(information)))
         scale = np.repeat([LEVER_ARM_M, 1.0], 3)
         covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
@@ -332,7 +332,7 @@ def _fit(start: ViewSolution, error: FloatArray | None = None) -> ViewSolution:
         error: covariance (6, 6) that each pair has besides its own.
     """
     poses = start.poses
-    equations = PairEquations.of(poses, [*start.pairs, *start.grounds], error)
+    equations = PairEquations.of(poses, start.pairs, start.grounds, error)
     squared, information, gradient = equations.at(poses)
     damping, least_gain = 1e-3, _LEAST_GAIN if error is None else _LEAST_ROUGH_GAIN
     for _ in range(_ITERATIONS):

@@ -104,6 +104,22 @@ def test_the_ground_tells_height_roll_and_pitch(seen):
     assert [each.source.lidar for each in ground_pairs(levels)] == [*seen[1:]]
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 135.0, 170.0, 180.0])
+def test_the_ground_levels_lidars_that_face_apart(heading_deg):
+    """The ground tells no heading, however far the LiDARs are turned from each other."""
+    of_b = RigidTransform.from_xyz_rpy("A", "B", [-2.0, 0.5, 0.0], [0.0, 0.0, np.deg2rad(heading_deg)])
+    unturned = RigidTransform.from_xyz_rpy("ground", "ground", [0.0, 0.0, 0.0], [0.0, 0.0, -np.deg2rad(heading_deg)])
+    levels = {"A": _OVER_GROUND, "B": unturned @ _OVER_GROUND @ of_b}
+    tilted = of_b @ RigidTransform.from_xyz_rpy("B", "B", [0.0, 0.0, 0.0], [0.08, -0.05, 0.0])
+    known = pair("A1", "B1")
+    information = np.diag([1e-2, 1e-2, 1e6, 1e6, 1e6, 1e6])
+    known = replace(known, registration=replace(known.registration, T_target_source=tilted, information=information))
+    solution = solve_views("A", [known], ground_pairs(levels))
+    vertical = solution.poses.poses["B"].rotation.T @ _OVER_GROUND.rotation[2]
+    np.testing.assert_allclose(vertical, levels["B"].rotation[2], atol=1e-4)
+    assert solution.squared < 1e-3
+
+
 def test_without_ground_in_sight_there_are_no_such_pairs():
     assert ground_pairs({}) == []
     assert ground_pairs({"A": _LEVELS["A"]}) == []

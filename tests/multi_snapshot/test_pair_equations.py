@@ -30,7 +30,7 @@ def test_all_pairs_at_once_are_as_one_by_one(error):
     rng = np.random.default_rng(3)
     poses = _VIEWS.moved(rng.normal(scale=0.1, size=_VIEWS.columns))
     of_pairs = pairs("A1-B1 B3-C3 A1-B2 B2-C4 C2-C3 A2-A4", rng, noise=4.0)
-    found = PairEquations.of(poses, of_pairs, error).at(poses)
+    found = PairEquations.of(poses, of_pairs, error=error).at(poses)
     expected = _one_by_one(poses, of_pairs, np.zeros((6, 6)) if error is None else error)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8 * np.abs(other).max())
