@@ -225,6 +225,8 @@ def _followed_from_all(
     ]
     if not followed:
         return found
+    if len(followed) > 1 and any(each.not_reached != found.not_reached for each in followed):
+        return replace(found, not_reached=tuple(sorted({stops for each in followed for stops in each.not_reached})))
     best, *others = sorted(followed, key=_evidence_of, reverse=True)
     lead = min((_evidence_of(best) - _evidence_of(each) for each in others), default=inf)
     return best if lead >= config.acceptance.min_log_odds_margin else found

@@ -9,6 +9,7 @@ from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.acceptance.placement import are_contradicted, place, unplaced_near_known
 from multilica.config import CalibrationConfig
+from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds
@@ -55,7 +56,8 @@ def register_from_known(
         A placement per LiDAR, relative to the LiDAR that most others are linked to.
 
     Raises:
-        UnfitSnapshotError: fewer than two LiDARs have returns in range, or the vehicle moves.
+        UnfitSnapshotError: fewer than two LiDARs have returns in range, none of these has a known
+            pose, or the vehicle moves.
         UsageError: the poses lack two of the LiDARs.
     """
     config = config or CalibrationConfig()
@@ -71,6 +73,11 @@ def register_from_known(
 
 def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     names = sorted({*state.clouds} & known.members)
+    if not names:
+        raise UnfitSnapshotError(
+            f"{state.snapshot.source or 'The snapshot'} has no returns in range of the LiDARs with known poses "
+            f"({', '.join(sorted({*state.snapshot.names} & known.members))}); check that these LiDARs measure."
+        )
     poses = {pair: known.between(*pair) for pair in state.pairs if {*pair} <= {*names}}
     scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
     found, accepted = list[PairRegistration](), list[PairRegistration]()

@@ -99,7 +99,7 @@ def are_contradicted(offsets: Mapping[str, FloatArray], covariances: Mapping[str
         covariances: per LiDAR (6, 6) of its pose.
     """
     chances = (chdtrc(off.size, off @ np.linalg.solve(covariances[name], off)) for name, off in offsets.items())
-    return bool(min(chances) < LEAST_PROBABILITY)
+    return bool(min(chances, default=1.0) < LEAST_PROBABILITY)
 
 
 def held_by_movable(

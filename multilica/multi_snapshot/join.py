@@ -20,6 +20,7 @@ from multilica.multi_snapshot.estimate import (
     scatter_ratio,
     spread_of,
 )
+from multilica.multi_snapshot.knocks import MOST_M, MOST_RAD
 from multilica.multi_snapshot.motions import ToldPose
 from multilica.multi_snapshot.pose_conflicts import (
     LeadAt,
@@ -49,8 +50,6 @@ from multilica.stages.refine import RefinedRig
 
 _BY_MOTIONS = "only its motion between the stops and the ground tell its pose"
 _BY_GROUND = "only the ground tells its height"
-# Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
-_LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +136,7 @@ def join(
         name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results
     }
     moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
-    alike = any(each.distance_m > _LARGEST_KNOCK_M or each.angle_deg > _LARGEST_KNOCK_DEG for each in conflicts)
+    alike = any(each.distance_m > MOST_M or each.angle_deg > np.rad2deg(MOST_RAD) for each in conflicts)
     linked = _rig(
         refine_linked(
             target,

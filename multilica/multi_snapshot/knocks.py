@@ -23,7 +23,7 @@ _LEAST_RAD, _LEAST_M = float(np.deg2rad(0.1)), 0.005
 # Chi squared of odds of a hundred: another time that explains less than this below the best one may be the right one.
 _LIKELIER = 9.2
 # A LiDAR that seems to move farther on its vehicle did not: the place looks like another one.
-_MOST_RAD, _MOST_M = float(np.deg2rad(30.0)), 0.5
+MOST_RAD, MOST_M = float(np.deg2rad(30.0)), 0.5
 _AFTER = "\0after"
 _AS_ARCS = np.repeat([LEVER_ARM_M, 1.0], 3)
 
@@ -144,7 +144,7 @@ class _Motion:
     def may_be_knock(self) -> bool:
         """True if it is too large for an error and too small for another place."""
         is_error = self.distance_m < _LEAST_M and self.angle_rad < _LEAST_RAD
-        return not is_error and self.distance_m < _MOST_M and self.angle_rad < _MOST_RAD
+        return not is_error and self.distance_m < MOST_M and self.angle_rad < MOST_RAD
 
     def offsets(self, root: str, solution: ViewSolution) -> dict[str, FloatArray]:
         """Return per LiDAR (6,) of its pose before or after the motion, the farther one, from that without it."""

@@ -57,6 +57,7 @@ class LinkSearch:
         stops: with prepared clouds.
         deadline_s: on `time.monotonic`.
         levels: poses of LiDARs over the ground; empty: not known yet.
+        known: links of an earlier search, which are not registered again.
         links: by the labels of their views, as all below.
         weak: links with too little evidence to count alone.
         tested: pairs whose implied pose was tested.
@@ -70,6 +71,7 @@ class LinkSearch:
     workers: Workers
     deadline_s: float
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
+    known: Sequence[ViewPair] = ()
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     weak: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
@@ -88,18 +90,19 @@ class LinkSearch:
 
     @property
     def _between_stops(self) -> list[PairKey]:
-        """All pairs of views of different stops, by their labels."""
-        views = self._views
+        """All pairs of views of different stops without a known link, by their labels."""
+        views, known = self._views, {link.views for link in self.known}
         return [
             (one.label, other.label)
             for number, one in enumerate(views)
             for other in views[number + 1 :]
-            if one.stop != other.stop
+            if one.stop != other.stop and frozenset((one, other)) not in known
         ]
 
     def _graph(self, motions: Sequence[ViewPair] = ()) -> ViewGraph:
         within = [ViewPair(pair, stop.name, stop.name) for stop in self.stops for pair in stop.pairs]
-        return ViewGraph.of(self._views, [*within, *self.links.values(), *motions])
+        known = [link for link in self.known if link.counts]
+        return ViewGraph.of(self._views, [*within, *known, *self.links.values(), *motions])
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
@@ -145,18 +148,13 @@ class LinkSearch:
         self._close_loops()
         self._doubt_slid()
 
-    def follow_poses(
-        self,
-        poses: Mapping[DriveView, RigidTransform],
-        known: Collection[frozenset[DriveView]],
-        lidars: Collection[str],
-    ) -> None:
-        """Register pairs of views from their poses, those of some LiDARs but the known ones, if beams agree."""
+    def follow_poses(self, poses: Mapping[DriveView, RigidTransform], lidars: Collection[str]) -> None:
+        """Register pairs of views of some LiDARs from their poses, if beams agree."""
         of_label = self._of_label
         implied: dict[PairKey, RigidTransform] = {}
         for pair in self._between_stops:
             target, source = (of_label[label] for label in pair)
-            if frozenset((target, source)) in known or not {target, source} <= poses.keys():
+            if not {target, source} <= poses.keys():
                 continue
             if target.lidar not in lidars and source.lidar not in lidars:
                 continue

@@ -93,14 +93,12 @@ def follow_motions(
     motions = read_motions() if _may_link(stops, config) else ()
     if not motions:
         return found
-    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels)
+    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels, found.links)
     try:
         search.follow(motions)
     finally:
         workers.forget()
-    kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
-    not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
-    return replace(found, links=(*found.links, *kept), not_reached=not_reached, motions=motions)
+    return replace(_with_found(found, search), motions=motions)
 
 
 def follow_poses(
@@ -124,21 +122,23 @@ def follow_poses(
     Returns:
         All links, those with little evidence among the weak ones.
     """
-    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels)
-    known = {link.views for link in found.links}
+    search = LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, found.levels, found.links)
     try:
-        search.follow_poses(poses, known, lidars)
+        search.follow_poses(poses, lidars)
     finally:
         workers.forget()
-    known |= {link.views for link in search.weak.values()}
-    weak = (*(link for link in found.weak if link.views not in known), *search.weak.values())
+    return _with_found(found, search)
+
+
+def _with_found(found: FoundLinks, search: LinkSearch) -> FoundLinks:
+    """Add what a further search found; a weak link goes where the same views were registered again."""
+    links = (*found.links, *search.links.values())
+    new = [link for pair, link in search.weak.items() if pair not in search.links]
+    known = {link.views for link in (*links, *new)}
+    weak = (*(link for link in found.weak if link.views not in known), *new)
     not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
-    return replace(found, links=(*found.links, *search.links.values()), weak=weak, not_reached=not_reached)
+    return replace(found, links=links, weak=weak, not_reached=not_reached)
 
 
 def _may_link(stops: Sequence[DriveStop], config: CalibrationConfig) -> bool:
     return config.drive.max_distance_m > 0.0 and config.verify.enabled and len(stops) > 1
-
-
-def _same_views(one: ViewPair, other: ViewPair) -> bool:
-    return one.views == other.views

@@ -4,6 +4,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from math import log
 
 import numpy as np
 
@@ -19,17 +20,19 @@ from multilica.registration.poses import is_distinct, is_near
 from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Reason, Registration, Verdict, connected
 from multilica.results.hypotheses import IMPLIED
 from multilica.stages.fine import leads_surely
-from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 
 # Groups are registered at so many further poses of a pair, the likeliest ones; six LiDARs take some seconds.
 _MOST_ELSEWHERE = 2
+# A wrong pose in a tunnel fits by chance at one of 15 places, a metre apart: LiDARs of a vehicle are that near.
+_OF_LONG_PLACE = log(15.0)
 
 
 def doubt_lone_pairs(state: CalibrationState) -> None:
     """Leave pairs undecided that join two groups with little evidence, or alone where these groups fit elsewhere too.
 
     If a search found several poses with enough evidence, all but one are wrong: here a wrong pose may have enough. The
-    pairs that join two groups then need together as much as if another pose competed. So do those in a tunnel.
+    pairs that join two groups then need together as much as if another pose competed. In a tunnel, where a wrong pose
+    may be anywhere along it, they need a part of that.
 
     A pair decides by what two LiDARs see, and their groups see more: a lone pair is also tested at the other poses that
     searches between its groups found, and at those that both groups and a third LiDAR imply.
@@ -148,9 +151,10 @@ def _little_evidence(
     pair: PairRegistration, across: Sequence[PairRegistration], repeats: bool, limits: AcceptanceConfig
 ) -> tuple[Reason, ...]:
     """Return why the pairs that join two groups have too little evidence where wrong poses have some; else nothing."""
-    least, evidence = limits.min_evidence + limits.min_log_odds_margin, sum(each.evidence for each in across)
-    long = all(is_in_long_place(each.registrations[0].visibility) for each in across)
-    if evidence >= least or not (repeats or long):
+    evidence = sum(each.evidence for each in across)
+    is_long = all(is_in_long_place(each.registrations[0].visibility) for each in across)
+    least = limits.min_evidence + (limits.min_log_odds_margin if repeats else _OF_LONG_PLACE if is_long else 0.0)
+    if evidence >= least:
         return ()
     joins = f"only {pair.source} against {pair.target} joins their groups"
     if len(across) > 1:
@@ -181,7 +185,7 @@ def _competing(
     sees_more = len(graph.poses(pair.target)) + len(graph.poses(pair.source)) > 2
     if not further and not (sees_more and _places(pair, state.config.acceptance) > 1):
         return ()
-    target, source = (_side_of(state, graph, root) for root in (pair.target, pair.source))
+    target, source = (state.side_of(root, graph.poses(root)) for root in (pair.target, pair.source))
     starts = [Hypothesis(pose) for pose in (pair.T_target_source, *further)]
     if leads_surely(target, source, starts, state.config):
         return ()
@@ -240,16 +244,6 @@ def _verified_poses(state: CalibrationState, target: str, source: str) -> Iterab
 def _that_count(state: CalibrationState, target: str, found: Sequence[Registration]) -> Iterator[RigidTransform]:
     least = state.config.acceptance.min_evidence
     return (each.T_target_source.with_target(target) for each in found if each.evidence >= least)
-
-
-def _side_of(state: CalibrationState, graph: PairGraph, root: str) -> RegistrationCloud:
-    """Prepare the LiDARs that pairs of a graph connect to the root, in its frame."""
-    poses = sorted(graph.poses(root).items())
-    if len(poses) == 1:
-        return state.lidars[root].side
-    points_m = np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in poses])
-    views = [(pose, view) for name, pose in poses if (view := state.lidars[name].view) is not None]
-    return prepare_registration_cloud(root, points_m, views, state.config)
 
 
 def _doubt(state: CalibrationState, key: PairKey, reasons: tuple[Reason, ...]) -> None:

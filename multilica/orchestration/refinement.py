@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from multilica import events
 from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, outlier, widened
-from multilica.acceptance.rig import excluded_lidars
+from multilica.acceptance.rig import excluded_lidars, may_join
 from multilica.geometry import RigidTransform
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.state import CalibrationState
@@ -72,7 +72,7 @@ def _doubt_pair(state: CalibrationState, wrong: PairResidual) -> None:
     """Leave the pair undecided that contradicts the others."""
     reason, ends = contradiction_of(wrong, state.config.acceptance), {wrong.target, wrong.source}
     for key, pair in state.registrations.items():
-        if pair.lidars == ends:
+        if pair.lidars == ends and may_join(pair):
             state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
             state.observe(events.VerdictChanged(state.registrations[key]))
     merges = (tuple(pair for pair in merge if pair.lidars != ends) for merge in state.merges)

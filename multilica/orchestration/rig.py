@@ -44,7 +44,7 @@ from multilica.stages.merge import (
 from multilica.stages.pair_choice import choose_target
 from multilica.stages.refine import trusted_pairs
 from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
-from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
+from multilica.visibility.registration_cloud import RegistrationCloud
 from multilica.workers import Shared
 
 # Enough to see where a pair does not meet; `--record full` has all.
@@ -137,7 +137,7 @@ def _register_groups(
 def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairRegistration | None:
     """Search the pose of a single LiDAR in the merged cloud of a group, without an initial guess."""
     if group.members not in state.merged_lidars:
-        points_m = _merged_points(state, group)
+        points_m = state.points_of(group.poses)
         cloud = PreprocessedCloud(group.root, np.empty((0, 3), dtype=np.float32), points_m)
         state.merged_lidars[group.members] = prepare_lidar(cloud, state.config)
     lidars = {group.root: state.merged_lidars[group.members], other.root: state.lidars[other.root]}
@@ -149,22 +149,10 @@ def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairR
 
 
 def _side_of(state: CalibrationState, group: Group) -> RegistrationCloud:
-    """Prepare a LiDAR, or a group with its members in the frame of its root, for registration."""
-    if len(group.poses) == 1:
-        return state.lidars[group.root].side
+    """Prepare a group for registration, once."""
     if group.members not in state.sides:
-        views = [
-            (pose, view) for name, pose in sorted(group.poses.items()) if (view := state.lidars[name].view) is not None
-        ]
-        state.sides[group.members] = prepare_registration_cloud(
-            group.root, _merged_points(state, group), views, state.config
-        )
+        state.sides[group.members] = state.side_of(group.root, group.poses)
     return state.sides[group.members]
-
-
-def _merged_points(state: CalibrationState, group: Group) -> FloatArray:
-    """Return the points (N, 3) of all members in the frame of the root."""
-    return np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
 
 
 def compare_surfaces(state: CalibrationState) -> None:

@@ -56,16 +56,16 @@ def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
     finally:
         if state.cut_short:
             group = components(list(state.clouds), [(pair.target, pair.source) for pair in state.accepted])
+            wanted = state.pairs if state.config.verify.enabled else _by_mode(state)
             state.not_reached = tuple(
-                pair for pair in state.pairs if pair not in state.coarse and group[pair[0]] != group[pair[1]]
+                pair for pair in wanted if pair not in state.coarse and group[pair[0]] != group[pair[1]]
             )
 
 
 def _search_all(state: CalibrationState, until: Stage) -> None:
     usual = state.config.features.voxel_size_m
     if not state.config.verify.enabled:
-        target, _ = choose_target(state.config.target, state.clouds, ())
-        _search(state, pairs_by_role(list(state.clouds), target, state.config.merge.mode), usual, until)
+        _search(state, _by_mode(state), usual, until)
         return
     if until != "fine":
         _search(state, state.pairs, usual, until)
@@ -92,6 +92,12 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
                 state.observe(events.SearchWidened(tuple(pairs), voxel_size_m))
             tried.update(pairs)
             _search(state, pairs, voxel_size_m)
+
+
+def _by_mode(state: CalibrationState) -> list[PairKey]:
+    """Return the pairs to search where beams verify nothing."""
+    target, _ = choose_target(state.config.target, state.clouds, ())
+    return pairs_by_role(list(state.clouds), target, state.config.merge.mode)
 
 
 def _try_earlier(state: CalibrationState) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
+import numpy as np
+
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
@@ -29,7 +31,7 @@ from multilica.results import (
     VisibilityScore,
 )
 from multilica.snapshot import Snapshot
-from multilica.visibility.registration_cloud import RegistrationCloud
+from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
 from multilica.workers import Workers
 
@@ -135,6 +137,17 @@ class CalibrationState:
         poses = PairGraph.of(self.clouds, self.accepted).poses(motion.target)
         placed = [(pose, self._view(name)) for name, pose in sorted(poses.items())]
         return score_visibility(placed, placed, motion, *ROUGH_TOLERANCES)
+
+    def points_of(self, poses: Mapping[str, RigidTransform]) -> FloatArray:
+        """Return the points (N, 3) of LiDARs at their poses."""
+        return np.concatenate([pose.apply(self.clouds[name].points_m) for name, pose in sorted(poses.items())])
+
+    def side_of(self, root: str, poses: Mapping[str, RigidTransform]) -> RegistrationCloud:
+        """Prepare the root, or several LiDARs in its frame, for registration."""
+        if len(poses) == 1:
+            return self.lidars[root].side
+        views = [(pose, view) for name, pose in sorted(poses.items()) if (view := self.lidars[name].view) is not None]
+        return prepare_registration_cloud(root, self.points_of(poses), views, self.config)
 
     def _scored(self, pose: RigidTransform, known: _Scores, tolerances: tuple[float, float]) -> Registration:
         key = pose.target, pose.source, pose.matrix.tobytes()

@@ -65,12 +65,13 @@ def prepare_views(
         levels: as `levels_of` finds them.
     """
     found: dict[DriveView, PreparedLidar] = {}
+    limits = _limits(stops, config)
     for lidar in sorted({name for stop in stops for name in stop.lidars}):
         at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
         body = find_own_body([each.cloud.points_m for each in at_stops.values()], _to_level(lidar, levels))
         for stop, prepared in at_stops.items():
             view = DriveView(lidar, stop)
-            found[view] = _without_body(prepared, body).as_view(view.label, _limits(view, config))
+            found[view] = _without_body(prepared, body).as_view(view.label, limits)
     return found
 
 
@@ -133,11 +134,13 @@ def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
     return PreparedLidar(replace(cloud, points_m=cloud.points_m[kept]), features, view, prepared.config)
 
 
-def _limits(view: DriveView, config: CalibrationConfig) -> CalibrationConfig:
-    """Return the configuration with the limits of links, also of weak ones, and with the sigmas of the LiDAR."""
+def _limits(stops: Sequence[DriveStop], config: CalibrationConfig) -> CalibrationConfig:
+    """Return the configuration with the limits of links, also of weak ones, and with the sigmas of all views."""
     limits = {"max_baseline_m": config.drive.max_distance_m, "min_evidence": least_evidence(config)}
     acceptance = config.acceptance.model_copy(update=limits)
     sigmas_m = config.refine.range_bias_sigmas_m
-    own = {view.label: sigmas_m[view.lidar]} if view.lidar in sigmas_m else {}
-    refine = config.refine.model_copy(update={"range_bias_sigmas_m": own | sigmas_m})
+    of_views = {
+        DriveView(name, stop.name).label: sigmas_m[name] for stop in stops for name in stop.lidars if name in sigmas_m
+    }
+    refine = config.refine.model_copy(update={"range_bias_sigmas_m": of_views | sigmas_m})
     return config.model_copy(update={"acceptance": acceptance, "refine": refine})

@@ -83,20 +83,22 @@ def refine(
     Args:
         root: the LiDAR whose pose is fixed.
         poses: initial ``T_root_lidar`` of every placed LiDAR.
-        pairs: registrations, of one or more snapshots; those without `information` or with a LiDAR that is not placed
-            are left out.
+        pairs: registrations, of one or more snapshots; those without `information`, with a LiDAR that is not placed, or
+            apart from the root are left out.
         linked: links between stops with initial poses; links are left out like pairs. They and the pairs determine the
             poses of all LiDARs.
     """
     linked = linked or LinkedStops()
-    used_pairs = [pair for pair in pairs if pair.information is not None and pair.lidars <= set(poses)]
+    known = [pair for pair in pairs if pair.information is not None and pair.lidars <= set(poses)]
     links = [
         link
         for link in linked.links
         if link.registration.information is not None and link.registration.lidars <= set(poses)
     ]
+    joined = set(poses) if links else set(poses) & connected(root, known)
+    used_pairs = [pair for pair in known if pair.lidars <= joined]
     used = [*(ViewPair(pair, "", "") for pair in used_pairs), *links]
-    free = sorted((set(poses) & (set(poses) if links else connected(root, used_pairs))) - {root})
+    free = sorted(joined - {root})
     stops = {name: linked.poses[name] for link in links for name in sorted(link.stops)}
     free_stops = sorted(stops.keys() - linked.first)
     if not free and not free_stops:
@@ -119,17 +121,17 @@ def refine(
         if longest >= _SETTLED:
             prior = None
     spreads = _spreads(used, end, config)
-    known = posterior(information, gradient, end.biases, sigmas, *spreads, counts, prior, scenes=scenes)
+    told = posterior(information, gradient, end.biases, sigmas, *spreads, counts, prior, scenes=scenes)
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
     return RefinedRig(
         state.views.poses,
-        {name: known.covariance[block, block] for name, block in blocks.items()},
-        {name: known.repeatability[block, block] for name, block in blocks.items()},
-        Refinement.of(residuals[: len(used_pairs)], _sensor_biases(state, known.bias_sigmas)),
+        {name: told.covariance[block, block] for name, block in blocks.items()},
+        {name: told.repeatability[block, block] for name, block in blocks.items()},
+        Refinement.of(residuals[: len(used_pairs)], _sensor_biases(state, told.bias_sigmas)),
         state.views.stops,
-        {name: known.covariance[block, block] for name, block in of_stops.items()},
+        {name: told.covariance[block, block] for name, block in of_stops.items()},
         residuals[len(used_pairs) :],
     )
 
@@ -267,11 +269,11 @@ class _Share:
 
 
 def _shares(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> Iterator[tuple[ViewPair, _Share]]:
-    snapshots = Counter((pair.target.lidar, pair.source.lidar) for pair in pairs if not pair.is_link)
+    snapshots = Counter(pair.registration.lidars for pair in pairs if not pair.is_link)
     for pair in pairs:
         jacobian, moving = state.views.jacobian(pair)
         columns = np.concatenate([moving, state.views.columns + state.bias_columns(pair.registration)])
-        times = 1 if pair.is_link else snapshots[pair.target.lidar, pair.source.lidar]
+        times = 1 if pair.is_link else snapshots[pair.registration.lidars]
         yield pair, _Share(pair.registration, _weight(_squared(pair, state), config), jacobian, columns, times)
 
 

@@ -39,6 +39,8 @@ _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
 # Slid poses as near as this are always tested; farther ones as long as none competes with the best.
 _NEAR_SLIDE_M = 6.0
+# Presets without a largest baseline would slide without end. By default, views of linked stops are 40 m apart at most.
+_FARTHEST_SLIDE_M = 80.0
 # Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
 _EARLY_STOP_POSES = 6
 _EARLY_STOP_POSES_CONSTRAINED = 2
@@ -301,7 +303,7 @@ def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> li
     score = best.visibility
     if is_well_constrained(score, config.acceptance) and not is_in_long_place(score):
         return []
-    steps = round(reach_m / SLIDE_STEP_M)
+    steps = round(min(reach_m, _FARTHEST_SLIDE_M) / SLIDE_STEP_M)
     direction, max_baseline_m = score.slide_direction, config.acceptance.max_baseline_m
     return slid_hypotheses(_start_of(best), direction, max_baseline_m, steps)
 

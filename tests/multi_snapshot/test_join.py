@@ -2,6 +2,7 @@
 """One rig out of made registrations of several snapshots whose truth is known."""
 
 import re
+import sys
 from dataclasses import replace
 from itertools import combinations
 
@@ -16,7 +17,8 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, estimate, join, require_joinable, shown_snapshot
 from multilica.multi_snapshot.join import choose_target
 from multilica.multi_snapshot.pose_conflicts import resolve_conflicts
-from multilica.results import CalibrationResult, LidarPlacement, PairRegistration, TimeLimit
+from multilica.multi_snapshot.trusted_links import refine_linked
+from multilica.results import CalibrationResult, LidarPlacement, PairRegistration, PoseConflict, TimeLimit
 from multilica.results.building import provenance_of, result_document
 from multilica.snapshot import Snapshot
 from multilica.stages.refine import refine
@@ -346,3 +348,19 @@ def test_snapshots_that_agree_are_compared_without_covariances(monkeypatch, tamp
     _, conflicts = resolve_conflicts(pairs, CalibrationConfig())
     assert {*asked} == roots
     assert bool(conflicts) is bool(tampered)
+
+
+@pytest.mark.parametrize(("angle_deg", "alike"), [(20.0, False), (40.0, True)])
+def test_snapshots_tell_a_knock_from_a_place_that_looks_alike(monkeypatch, angle_deg, alike):
+    """As links do: docs/drives.md tells the limits."""
+    module, asked = sys.modules["multilica.multi_snapshot.join"], []
+    conflict = PoseConflict("b", ("A", "B"), ("a",), 0.1, angle_deg, outvoted=False)
+    monkeypatch.setattr(module, "resolve_conflicts", lambda pairs, _: (pairs, (conflict,)))
+
+    def refined(*arguments, looks_alike, **rest):
+        asked.append(looks_alike)
+        return refine_linked(*arguments, looks_alike=looks_alike, **rest)
+
+    monkeypatch.setattr(module, "refine_linked", refined)
+    join([_run("a", 1), _run("b", 2)])
+    assert asked == [alike]

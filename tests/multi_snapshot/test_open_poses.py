@@ -203,6 +203,19 @@ def test_beams_tell_which_solution_of_the_headings_is_right(monkeypatch, evidenc
     assert after.weak == (() if adopted is None else (further[adopted],))
 
 
+def test_a_solution_that_time_leaves_untested_decides_nothing(monkeypatch):
+    """Another solution may have as many links."""
+    every, further = _links("A1-A2"), _links("A1-B3")
+    found = [solve_views("A", _links(text)) for text in ("A1-B3 A3-B3 A1-A3", "A1-C2 A2-C2 B1-A2")]
+    answers = iter([{"weak": tuple(further)}, {"not_reached": (("stop 1", "stop 2"),)}])
+    monkeypatch.setattr(drive_calibration, "follow_poses", lambda *arguments: replace(arguments[3], **next(answers)))
+    monkeypatch.setattr(drive_calibration, "solutions_on_plane", lambda *_: found)
+    result = CalibrationResult("A", "made", (LidarPlacement("B", "made"), LidarPlacement("C", "made")))
+    before = FoundLinks(tuple(every))
+    after = drive_calibration._followed_from_all((), CalibrationConfig(), Workers(), before, result, np.inf)
+    assert after == replace(before, not_reached=(("stop 1", "stop 2"),))
+
+
 def test_a_chain_over_several_stops_links_them_all():
     """A and C share stop 3, C and B stop 4: so stops 1 and 2, where A and B share no pair, have one motion."""
     within = [pair("A3", "C3"), pair("B4", "C4")]

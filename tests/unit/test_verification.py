@@ -10,11 +10,12 @@ import pytest
 
 from multilica import read_extrinsics, read_snapshot
 from multilica.config import CalibrationConfig, with_overrides
-from multilica.errors import UsageError
+from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, TimeLimit
+from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.verification import _trusting, register_from_known
 from multilica_cli.commands.calibrate import find_sample
 
@@ -67,6 +68,16 @@ def test_poses_of_other_lidars_are_refused() -> None:
     other = Extrinsics("a", {"a": RigidTransform.identity("a", "a"), "b": RigidTransform.identity("a", "b")})
     with pytest.raises(UsageError):
         register_from_known(read_snapshot(find_sample().recording), other)
+
+
+def test_without_returns_of_a_known_lidar_nothing_is_tested() -> None:
+    rng = np.random.default_rng(0)
+    near, far = ((scale * rng.uniform(-1.0, 1.0, (2000, 3))).astype(np.float32) for scale in (0.2, 8.0))
+    scans = {"a": near, "b": near, "c": far, "d": far}
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(points_m),)) for name, points_m in scans.items()))
+    known = Extrinsics("a", {name: RigidTransform.identity("a", name) for name in "ab"})
+    with pytest.raises(UnfitSnapshotError, match=r"no returns in range of the LiDARs with known poses \(a, b\)"):
+        register_from_known(snapshot, known)
 
 
 def _registered_in(monkeypatch: pytest.MonkeyPatch, known: Extrinsics, pairs: int) -> CalibrationResult:

@@ -233,6 +233,17 @@ def test_views_are_linked_from_their_poses():
 
 
 @pytest.mark.usefixtures("registered")
+def test_a_weak_link_goes_where_its_views_have_a_link():
+    """As two, they would confirm each other."""
+    poses = _poses(*_VIEWS)
+    first = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), poses, _BOTH)
+    before = links.FoundLinks(weak=(*first.weak, *first.links))
+    again = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), before, poses, _BOTH)
+    assert [link.views for link in again.links] == [link.views for link in first.links]
+    assert {link.views for link in again.weak} == {link.views for link in first.weak}
+
+
+@pytest.mark.usefixtures("registered")
 def test_only_pairs_of_uncertain_lidars_are_registered():
     nothing, poses = links.FoundLinks(), _poses(*_VIEWS)
     found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), nothing, poses, {"rear"})

@@ -39,6 +39,7 @@ def _state(pairs, searched=(), rough=(), implied_by=None):
         clouds=dict.fromkeys("abcd"),
         implied_by=implied_by or {},
         score_rough_pose=score,
+        side_of=lambda _, poses: {*poses},
     )
 
 
@@ -55,12 +56,8 @@ def doubt(monkeypatch):
             asked.append((target, source, *(each.xyz_m.tolist() for each in further)))
             return SimpleNamespace(verdict=verdict, T_target_source=at or start, evidence=20.0)
 
-        def side_of(_, graph, root):
-            return {*graph.poses(root)}
-
         monkeypatch.setattr(lone_pairs, "register_sides", register)
         monkeypatch.setattr(lone_pairs, "leads_surely", lambda _target, _source, starts, _: leads and bool(starts))
-        monkeypatch.setattr(lone_pairs, "_side_of", side_of)
         state = _state(pairs, **results)
         state.observe = seen.append
         lone_pairs.doubt_lone_pairs(state)
@@ -205,8 +202,10 @@ def _in_long_place(made, along=15.0):
 
 def test_a_lone_pair_needs_more_evidence_in_a_tunnel(doubt):
     few, imprecise = linked("a", "d", 100), linked("a", "d", 100, Verdict("uncertain"))
+    some = linked("a", "d", 300)
+    assert few.evidence < 5.0 < some.evidence < 6.9
     assert doubt(_in_long_place(few))[0] == doubt(_in_long_place(imprecise))[0] == {"ad"}
-    for other in (_in_long_place(linked("a", "d")), _in_long_place(few, along=40.0)):
+    for other in (_in_long_place(some), _in_long_place(few, along=40.0)):
         assert not doubt(other)[0]
 
 

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Registrations of searched pairs, of pairs that others imply, and of groups."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
-from multilica.config import CalibrationConfig
-from multilica.orchestration import rig, search
+import pytest
+
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.orchestration import refinement, rig, search
 from multilica.orchestration.pairs import PairSearch, register_implied, score_implied, search_pair
 from multilica.orchestration.state import CalibrationState
-from multilica.results import Group, Verdict
+from multilica.results import Group, PairResidual, Verdict
 from tests.unit.acceptance.made_rig import linked, registered, scored, true_pose
 from tests.unit.made_pairs import pose
 
@@ -70,3 +73,35 @@ def test_groups_without_a_pair_are_doubted_in_repeating_scenes(monkeypatch):
     found = rig._register_groups(state, *groups, [])
     assert found.verdict.codes == ("held_by_repetition",)
     assert seen[-1].registration is found
+
+
+def test_pairs_that_the_mode_leaves_out_are_not_missed():
+    """Without verification the mode tells which pairs are searched, each with its target first."""
+    config = with_overrides(CalibrationConfig(), ["verify.enabled=false", "merge.mode=target_first", "target=m"])
+
+    def searched(_, requests):
+        return [PairSearch(matches=None, coarse="found") for _ in requests]
+
+    workers = SimpleNamespace(map=searched, processes=0)
+    late = iter([False, True])
+    state = CalibrationState(
+        snapshot=None, config=config, observe=lambda _: None, workers=workers, deadline_s=time.monotonic() + 600.0
+    )
+    state.clouds = dict.fromkeys("amz")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CalibrationState, "out_of_time", property(lambda _: next(late)))
+        search.search_pairs(state)
+    assert [*state.coarse] == [("m", "a")]
+    assert state.not_reached == (("m", "z"),)
+
+
+@pytest.mark.parametrize("outcome", ["reject", "undecided"])
+def test_only_pairs_that_join_are_doubted(outcome):
+    """A member of a merge may have a registration of its own that counts for nothing."""
+    state = CalibrationState(snapshot=None, config=CalibrationConfig(), observe=lambda _: None)
+    own = replace(linked("a", "b"), verdict=Verdict(outcome))
+    state.registrations = {("a", "b"): own}
+    state.merges = [(linked("a", "b"), linked("a", "c"))]
+    refinement._doubt_pair(state, PairResidual("a", "b", 0.0, 0.0, 0.5, 1.0, 1.0, probability=1e-9))
+    assert state.registrations["a", "b"] is own
+    assert [[pair.lidars for pair in merge] for merge in state.merges] == [[{*"ac"}]]

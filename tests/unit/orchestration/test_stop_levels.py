@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration import stop_views
 from multilica.orchestration.stop_views import DriveStop, levels_of
@@ -50,3 +50,11 @@ def test_little_ground_is_none():
         level = estimate_level("front", cloud, {}, CalibrationConfig(), 10.0)
         assert (level is not None) == is_ground
         assert estimate_level("front", cloud, {}, CalibrationConfig()) is not None
+
+
+def test_each_view_has_the_sigmas_of_all_lidars():
+    """A registration takes those of its source from the configuration of its target."""
+    stops = [DriveStop(name, dict.fromkeys(["front", "rear"]), ()) for name in ("stop 1", "stop 2")]
+    config = with_overrides(CalibrationConfig(), ["refine.range_bias_sigmas_m.rear=0.05"])
+    sigmas_m = stop_views._limits(stops, config).refine.range_bias_sigmas_m
+    assert sigmas_m == dict.fromkeys(["rear", "rear at stop 1", "rear at stop 2"], 0.05)

@@ -10,8 +10,9 @@ from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
-from multilica.results import BiasInformation, LinkedStops, PairRegistration, Verdict, connected
-from multilica.stages.refine import refine, trusted_pairs
+from multilica.registration.view_poses import ViewPoses
+from multilica.results import BiasInformation, LinkedStops, PairRegistration, Verdict, ViewPair, connected
+from multilica.stages.refine import _shares, _State, refine, trusted_pairs
 from tests.multi_snapshot import made_drive
 
 _SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
@@ -356,3 +357,22 @@ def test_the_covariance_of_a_loop_covers_its_errors():
         rig = _refined(_loop(seed, {name: rng.normal(size=BIAS_COUNT) * _BIAS_SIGMAS for name in "TAB"}))
         squared += [error @ np.linalg.solve(rig.covariances[name], error) for name, error in _offsets(rig).items()]
     assert 3.0 < np.mean(squared) < 9.0
+
+
+def test_pairs_apart_from_the_target_are_left_out():
+    """They have no unknown pose."""
+    joined, apart = (_pair(*names, _TRUTH[names[0]].inverse() @ _TRUTH[names[1]]) for names in ("TA", "BC"))
+    rig = refine("T", dict(_TRUTH), [joined, apart], RefineConfig())
+    assert rig.covariances.keys() == {"A"}
+    assert len(rig.refinement.pairs) == 1
+
+
+def test_a_pair_counts_once_per_snapshot_whichever_is_the_target():
+    """The narrower of two LiDARs is the source, which may differ between snapshots."""
+    pose = _TRUTH["A"].inverse() @ _TRUTH["B"]
+    same, turned = _pair("A", "B", pose), _pair("B", "A", pose.inverse())
+    views = ViewPoses(dict(_TRUTH), {}, ["A", "B"], [])
+    shares = _shares(
+        [ViewPair(each, "", "") for each in (same, turned)], _State(views, np.zeros(0), {}), RefineConfig()
+    )
+    assert [share.snapshots for _, share in shares] == [2, 2]

@@ -267,6 +267,13 @@ def test_poses_turned_in_long_places_are_slid(aisle, monkeypatch):
     assert len(asked) == 2
 
 
+def test_poses_slide_no_farther_than_views_are_apart(aisle):
+    (best,) = _verified(aisle, _near(_TRUTH), near_slide_m=0.0)
+    without_end = CalibrationConfig(acceptance=_NEVER_FIRM.model_copy(update={"max_baseline_m": 1e6}))
+    slid = verify._far_slides(best, without_end)
+    assert max(each.T_target_source.distance_to(best.T_target_source)[0] for each in slid) == pytest.approx(80.0)
+
+
 def _when_slid(found):
     """Order slides as they are tested: the nearer first, backwards before forwards."""
     metres = float(found.derivation.split()[2])
