@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc
 
+from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Spread
@@ -25,16 +26,7 @@ class Estimate:
 
 def chained(root: str, pairs: Sequence[PairRegistration]) -> dict[str, RigidTransform]:
     """Return ``T_root_lidar`` of every LiDAR connected to the root, by the registrations with the most evidence."""
-    poses = {root: RigidTransform.identity(root, root)}
-    ordered = sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source))
-    while (
-        pair := next((pair for pair in ordered if (pair.target in poses) != (pair.source in poses)), None)
-    ) is not None:
-        if pair.target in poses:
-            poses[pair.source] = poses[pair.target] @ pair.T_target_source
-        else:
-            poses[pair.target] = poses[pair.source] @ pair.T_target_source.inverse()
-    return poses
+    return PairGraph.of({root}.union(*(pair.lidars for pair in pairs)), pairs).poses(root)
 
 
 def estimate_poses(root: str, pairs: Sequence[PairRegistration], config: RefineConfig) -> Mapping[str, Estimate]:

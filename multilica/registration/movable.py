@@ -2,7 +2,6 @@
 """Objects of the size of vehicles and people that stand free on the ground."""
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -10,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from multilica.geometry import FloatArray, lengths
+from multilica.registration.cells import STEPS_AROUND, cell_numbers
 from multilica.results import BoolArray, IndexArray
 
 # Below the gap between two cars in traffic, above the spacing of rings on a car at 50 m.
@@ -41,10 +41,8 @@ _MOVED_SHARE = 1.0 / 3.0
 _MOVED_CELLS = 10
 # Nearer to a LiDAR than anything but the vehicle that carries it.
 _OWN_VEHICLE_M = 1.0
-# Offsets of a cell and its neighbours, and of half of these; the other half sees the same pairs.
-_AROUND = list(product((-1, 0, 1), repeat=3))
-_NEIGHBOURS = [each for each in _AROUND if each > (0, 0, 0)]
-_OFFSET = 1 << 20
+# Half of the neighbours: the other half sees the same pairs.
+_NEIGHBOURS = [step for step in STEPS_AROUND if step > 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +68,7 @@ class MovableCells:
         """Return which points (N, 3) in the frame of the rig lie on movable objects."""
         if not len(self.keys):
             return np.zeros(len(points_m), dtype=np.bool_)
-        keys = _keys(np.floor(points_m @ self.rotation.T / _CELL_M))
+        keys = cell_numbers(points_m @ self.rotation.T, _CELL_M)
         return np.asarray(self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys)
 
 
@@ -96,7 +94,7 @@ def find_movable(
     if not len(points_m):
         return MovableCells(rotation, *(np.empty(0, dtype=np.int64) for _ in range(2)))
     # One point per cell is enough for an outline.
-    keys, first = np.unique(_keys(np.floor(points_m / _CELL_M)), return_index=True)
+    keys, first = np.unique(cell_numbers(points_m, _CELL_M), return_index=True)
     points_m, above_m = points_m[first], above_m[first]
     count, object_of = _connected(keys)
     own = np.zeros(count, dtype=np.bool_)
@@ -105,7 +103,7 @@ def find_movable(
     vehicle, row = (each & ~own for each in _outlines(points_m, above_m, object_of, count))
     moved = np.zeros(count, dtype=np.bool_)
     if moving_m is not None and len(moving_m):
-        moving = np.unique(_keys(np.floor(moving_m @ rotation.T / _CELL_M)))
+        moving = np.unique(cell_numbers(moving_m @ rotation.T, _CELL_M))
         least = np.maximum(_MOVED_CELLS, _MOVED_SHARE * np.bincount(object_of, minlength=count))
         moved = _count_touching(keys, object_of, count, moving) >= least
     found, of_moved = (_with_below(keys[each[object_of]]) for each in (vehicle | (row & moved), row & moved))
@@ -131,12 +129,6 @@ def above_ground(points_m: FloatArray) -> FloatArray:
     return np.asarray(points_m[:, 2] - np.minimum(lowest_m, opened_m).reshape(-1)[column])
 
 
-def _keys(cells: FloatArray) -> IndexArray:
-    """Return one number (N,) per cell (N, 3)."""
-    x, y, z = cells.astype(np.int64).T + _OFFSET // 2
-    return np.asarray((x * _OFFSET + y) * _OFFSET + z)
-
-
 def _with_below(keys: IndexArray) -> IndexArray:
     """Add the cells below: wheels and sills are below the height at which the ground ends."""
     return np.unique([keys - below for below in range(_CELLS_BELOW + 1)])
@@ -145,8 +137,8 @@ def _with_below(keys: IndexArray) -> IndexArray:
 def _count_touching(keys: IndexArray, object_of: IndexArray, count: int, others: IndexArray) -> IndexArray:
     """Count the other cells that each object has or touches."""
     touching = []
-    for x, y, z in _AROUND:
-        wanted = others + (x * _OFFSET + y) * _OFFSET + z
+    for step in STEPS_AROUND:
+        wanted = others + step
         found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         other = np.flatnonzero(keys[found] == wanted)
         touching.append(other * count + object_of[found[other]])
@@ -156,8 +148,8 @@ def _count_touching(keys: IndexArray, object_of: IndexArray, count: int, others:
 def _connected(keys: IndexArray) -> tuple[int, IndexArray]:
     """Return the number of groups of touching cells, and the group (K,) of each."""
     ones, others = [], []
-    for x, y, z in _NEIGHBOURS:
-        wanted = keys + (x * _OFFSET + y) * _OFFSET + z
+    for step in _NEIGHBOURS:
+        wanted = keys + step
         found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         ones.append(np.flatnonzero(keys[found] == wanted))
         others.append(found[ones[-1]])

@@ -3,11 +3,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from multilica.geometry import FloatArray, lengths
+from multilica.registration.cells import STEPS_AROUND, cell_numbers
 from multilica.registration.movable import above_ground
 from multilica.results import BoolArray, IndexArray
 
@@ -20,9 +20,6 @@ _GROUND_M = 0.3
 # Fewer points are chance. More of what is near: the vehicle stands where it stood.
 _MIN_POINTS = 30
 _MAX_SHARE = 0.7
-_OFFSET = 1 << 20
-# From a cell to itself and to those that it touches.
-_STEPS = [(x * _OFFSET + y) * _OFFSET + z for x, y, z in product((-1, 0, 1), repeat=3)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +30,7 @@ class BodyCells:
 
     def contain(self, points_m: FloatArray) -> BoolArray:
         """Return which points (N, 3) lie on the vehicle."""
-        return np.isin(_keys(points_m), self.keys)
+        return np.isin(cell_numbers(points_m, _CELL_M), self.keys)
 
 
 def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCells:
@@ -49,26 +46,20 @@ def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCell
         return nothing
     first_m = near[0]
     first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
-    keys = _keys(first_m)
+    keys = cell_numbers(first_m, _CELL_M)
     same = np.unique(keys)
     for points_m in near[1:]:
-        same = same[_touch(same, np.unique(_keys(points_m)))]
+        same = same[_touch(same, np.unique(cell_numbers(points_m, _CELL_M)))]
     count = np.count_nonzero(np.isin(keys, same))
     if count < _MIN_POINTS or count > _MAX_SHARE * len(first_m):
         return nothing
-    return BodyCells(np.unique(np.concatenate([same + step for step in _STEPS])))
-
-
-def _keys(points_m: FloatArray) -> IndexArray:
-    """Return one number (N,) per cell of points (N, 3)."""
-    x, y, z = np.floor(points_m / _CELL_M).astype(np.int64).T + _OFFSET // 2
-    return np.asarray((x * _OFFSET + y) * _OFFSET + z)
+    return BodyCells(np.unique(np.concatenate([same + step for step in STEPS_AROUND])))
 
 
 def _touch(keys: IndexArray, others: IndexArray) -> BoolArray:
     """Return which cells are among others, which are sorted, or next to one of them."""
     found = np.zeros(len(keys), dtype=np.bool_)
-    for step in _STEPS:
+    for step in STEPS_AROUND:
         places = np.minimum(np.searchsorted(others, keys + step), len(others) - 1)
         found |= others[places] == keys + step
     return found
