@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from enum import IntEnum
@@ -22,6 +23,7 @@ DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
 _LONGEST = 500
 _OWN = ("multilica", "multilica_cli")
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 class ExitCode(IntEnum):
@@ -94,7 +96,8 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, 
             )
         case OSError():
             where = f" ({failure.filename})" if failure.filename else ""
-            return ExitCode.BROKEN, f"System error: {failure.strerror or failure}{where}."
+            remedy = "; free some space, or write elsewhere" if failure.errno in _NO_SPACE else ""
+            return ExitCode.BROKEN, f"System error: {failure.strerror or failure}{where}{remedy}."
         case MemoryError():
             return ExitCode.BROKEN, "Out of memory; use fewer --frames or a larger preprocess.voxel_size_m."
         case _:

@@ -21,7 +21,7 @@ from tests.cli.support import Invoke, assert_one_sentence
         (WorkerDiedError("A worker process died."), ExitCode.BROKEN, "A worker process died."),
         (Interrupted(signal.SIGTERM), 143, "SIGTERM"),
         (Interrupted(signal.SIGINT), 130, "SIGINT"),
-        (OSError(28, "No space left on device", "run/result.json"), ExitCode.BROKEN, "No space left on device (run"),
+        (OSError(28, "No space left", "run/result.json"), ExitCode.BROKEN, "left (run/result.json); free some"),
         (ImportError("libGL.so.1: cannot open shared object file"), ExitCode.BROKEN, "multilica doctor"),
         (ModuleNotFoundError("No module named 'numpy'", name="numpy"), ExitCode.BROKEN, "is not installed (numpy)"),
         (ModuleNotFoundError("no multilica.x", name="multilica.x"), ExitCode.BROKEN, "bug in multilica"),

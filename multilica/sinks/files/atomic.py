@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Atomic writing of files."""
 
+import errno
 import fcntl
 import os
 import threading
@@ -10,13 +11,16 @@ from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
+# Errors of a write itself do not name the file.
+_OF_WRITING = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the name `path` when the block ends.
 
     Until then it has a hidden name in the same directory. It is removed if the block raises; after a kill, by the next
-    `atomic_file` of this path.
+    `atomic_file` of this path. An OSError names `path`.
     """
     for begun in begun_files(path):
         _remove_unlocked(begun)
@@ -27,8 +31,10 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
             temporary.replace(path)  # while the lock keeps other writers from removing it
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and (error.filename == str(temporary) or error.errno in _OF_WRITING):
+            error.filename = str(path)
         raise
 
 

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sink that writes a Rerun recording."""
 
+import ctypes
+import errno
+import os
+import shutil
+import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -33,7 +38,8 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
 
 _NAME = "multilica"
-_FLUSH_TIMEOUT_S = 60.0
+# A slow disk still writes some bytes in this time.
+_SILENCE_S, _GLANCE_S = 20.0, 0.5
 _FLUSH_TICK_S = 7 * 86_400.0
 
 
@@ -68,13 +74,13 @@ class RerunRecording(AbstractContextManager["RerunRecording"]):
         # In batches by size and at flushes, never by the clock: equal runs make equal files.
         batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
         self._stream = rr.RecordingStream(_NAME, send_properties=False, batcher_config=batches)
-        self._scene = RerunScene(self._stream, state or RunState())
+        self._scene = RerunScene(self._stream, state or RunState(), partial_path(path))
 
     def __call__(self, event: events.Event) -> None:
         """Record an event; the first one creates the file."""
         scene = self._scene
         if scene.step < 0:
-            self._stream.set_sinks(rr.FileSink(partial_path(self.path)))
+            self._stream.set_sinks(rr.FileSink(scene.file))
         scene.state(event)
         scene.advance()
         for line in log_lines(event):
@@ -83,7 +89,7 @@ class RerunRecording(AbstractContextManager["RerunRecording"]):
             handle(scene, event)
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if self._scene.step < 0:
+        if self._scene.step < 0 or self._scene.is_abandoned:
             return
         whole = self._scene.state.result is not None
         if not whole:
@@ -95,16 +101,41 @@ class RerunRecording(AbstractContextManager["RerunRecording"]):
         _flush(self._scene)
         self._stream.disconnect()
         if whole:
-            partial_path(self.path).replace(self.path)
+            self._scene.file.replace(self.path)
         del self._stream, self._scene
         bindings.flush_and_cleanup_orphaned_recordings()  # ends the threads of streams that nothing refers to
 
 
 def _flush(scene: RerunScene, _event: events.Event | None = None) -> None:
-    try:
-        scene.stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
-    except RuntimeError as error:
-        raise OSError(f"the recording could not be written: {error}; is the disk full?") from error
+    """Wait until all is on disk.
+
+    Raises:
+        OSError: it cannot be written, because the disk is full for example. The stream is abandoned.
+    """
+    size, since_s = -1, time.monotonic()
+    while True:
+        begun_s = time.monotonic()
+        try:
+            scene.stream.flush(timeout_sec=_GLANCE_S)
+        except RuntimeError as error:
+            now_s, written = time.monotonic(), scene.file.stat().st_size
+            if written > size:
+                size, since_s = written, now_s
+            is_full = shutil.disk_usage(scene.file.parent).free == 0
+            has_ended = now_s - begun_s < 0.5 * _GLANCE_S
+            if not (is_full or has_ended or now_s - since_s > _SILENCE_S):
+                continue
+            _abandon(scene)
+            code = errno.ENOSPC if is_full else errno.EIO
+            raise OSError(code, os.strerror(code), str(scene.file)) from error
+        return
+
+
+def _abandon(scene: RerunScene) -> None:
+    """Never end a stream whose writer has ended: Rerun would wait for it forever, at its shutdown too."""
+    scene.is_abandoned = True
+    rr.unregister_shutdown()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(scene.stream))  # or its end would come with that of the process
 
 
 def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:

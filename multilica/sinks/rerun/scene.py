@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -170,20 +171,24 @@ class RerunScene:
 
     Args:
         state: after the current event.
+        file: that the stream writes.
         limits: set when the calibration starts.
         step: current position on the step timeline.
         started_ns: wall clock of the first event.
         shown: paths of the entities with a frame so far; later poses only move or relabel clouds.
         shown_at: per pose the step at which it is shown.
+        is_abandoned: True after a failed write; nothing can be logged any more.
     """
 
     stream: rr.RecordingStream
     state: RunState
+    file: Path
     limits: RecordLimits = NO_LIMITS
     step: int = -1
     started_ns: int = 0
     shown: set[str] = field(default_factory=set)
     shown_at: dict[Hypothesis | Registration, int] = field(default_factory=dict)
+    is_abandoned: bool = False
 
     def advance(self, steps: int = 1) -> None:
         """Advance by a step, or by more to leave room for curves."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -38,6 +39,22 @@ def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path, error):
         write_half()
     assert path.read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["out.txt"]
+
+
+@pytest.mark.parametrize(
+    "number", [errno.ENOSPC, errno.EACCES], ids=["of a write, without a name", "of the begun file"]
+)
+def test_an_error_of_the_system_names_the_file(tmp_path, number):
+    path = tmp_path / "out.txt"
+
+    def fail() -> None:
+        with atomic_file(path):
+            (begun,) = begun_files(path)
+            raise OSError(number, "made") if number == errno.ENOSPC else OSError(number, "made", str(begun))
+
+    with pytest.raises(OSError, match="made") as failure:
+        fail()
+    assert failure.value.filename == str(path)
 
 
 def test_the_error_is_told_even_if_the_begun_file_is_gone(tmp_path):
