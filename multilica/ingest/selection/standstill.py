@@ -150,38 +150,43 @@ def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evi
 def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
     """Compare each sampled cloud of one LiDAR with the next frame and with the next sample.
 
-    The LiDAR is the one with the largest clouds that show enough at all times, else at most times.
+    The LiDAR is the one with the largest clouds that show enough at all times, else at most times. One that is silent
+    for a part of the recording shows nothing then.
     """
     found: list[tuple[float, str, _Samples]] = []
     for topic in richest_topics(recording, span)[:4]:
-        samples = _cloud_samples(recording, topic, span, observe)
-        known = np.mean([still is not None for _, still in samples]) if samples else 0.0
-        found.append((float(known), topic, samples))
+        samples, expected = _cloud_samples(recording, topic, span, observe)
+        known = min(1.0, sum(still is not None for _, still in samples) / expected)
+        found.append((known, topic, samples))
         if known == 1.0:
             break
     _, topic, samples = max(found, key=lambda each: each[0])
     return f"the clouds on '{topic}'", samples
 
 
-def _cloud_samples(recording: Recording, topic: str, span: Span, observe: ProgressObserver) -> _Samples:
-    dense = _cloud_samples_at(recording, topic, span, 0.5, observe) if span[1] - span[0] <= _SHORT_NS else ()
+def _cloud_samples(recording: Recording, topic: str, span: Span, observe: ProgressObserver) -> tuple[_Samples, int]:
+    """Return the samples of a LiDAR, and how many one has that is never silent."""
     # Slow LiDARs have no two frames in half a second.
-    return dense or _cloud_samples_at(recording, topic, span, 1.0, observe)
+    for step_s in (0.5, 1.0) if span[1] - span[0] <= _SHORT_NS else (1.0,):
+        times_ns = _times_ns(span, 90, step_s)
+        if samples := _cloud_samples_at(recording, topic, times_ns, span[1], observe):
+            break
+    # The last one may have no second frame.
+    return samples, max(1, len(times_ns) - 1)
 
 
 def _cloud_samples_at(
-    recording: Recording, topic: str, span: Span, step_s: float, observe: ProgressObserver
+    recording: Recording, topic: str, times_ns: Sequence[int], end_ns: int, observe: ProgressObserver
 ) -> _Samples:
     from multilica.stages.stillness import detect_motion
 
-    times_ns = _times_ns(span, 90, step_s)
     scans: dict[int, list[Scan]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
     still: list[tuple[int, bool | None]] = []
     config = StillnessConfig()
     previous: Scan | None = None
     # Clouds fill chunks fast, so even jumps within a second save reading.
-    for index, message in _readable(sampled(recording, [topic], times_ns, span[1] + 1, most=2, jump_ns=0)):
+    for index, message in _readable(sampled(recording, [topic], times_ns, end_ns + 1, most=2, jump_ns=0)):
         observe(index + 1, len(times_ns))
         try:
             scans[index].append(decode_cloud(message).scan)

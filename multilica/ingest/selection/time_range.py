@@ -112,7 +112,7 @@ def still_range(standstill: Span, span: Span, config: IngestConfig, evidence: st
     """Return the time range of a standstill from its beginning on, in a recording of a span of log times."""
     longest_s = config.window_s or _MAX_SPREAD_S
     first_ns, last_ns = standstill
-    end_ns = min(last_ns, first_ns + round(longest_s * _NS_PER_S))
+    end_ns = min(last_ns + 1, first_ns + round(longest_s * _NS_PER_S))
     first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in standstill)
     note = f"The vehicle stands still from {first_s:.1f} to {last_s:.1f} s by {evidence}; frames are from there."
     return TimeRange(first_ns, end_ns, notes=(note,))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,10 @@ from rosbags.typesys.store import Typestore
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.ingest import read_snapshot
+from multilica.ingest.locate import find_source, locate
+from multilica.ingest.opening import open_source
+from multilica.ingest.selection.standstill import find_standstills, richest_topics
+from multilica.ingest.stops import cloud_span
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.recording_writers import (
     CLOUD,
@@ -234,3 +239,32 @@ def test_odd_messages_are_no_evidence(tmp_path: Path) -> None:
     write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(cut, key=lambda message: message[2]))
     with pytest.raises(UnfitSnapshotError, match="there is no readable odometry or IMU"):
         read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto"))
+
+
+@pytest.mark.slow
+def test_a_lidar_that_falls_silent_leaves_the_rest_to_another(tmp_path: Path) -> None:
+    """The one with the larger clouds would tell of one standstill, before the vehicle drives off."""
+    store = ros2_types()
+    messages = list(clouds(store, store.serialize_cdr, real=True))
+    for number, time_s in enumerate(np.arange(3.05, 5.0, 0.2)):
+        scan = room_scan(time_s, number)
+        larger = Scan(np.tile(scan.points_m, (2, 1)), scan.stamp_ns, np.tile(scan.intensity, 2))
+        message = bytes(store.serialize_cdr(cloud_message(store, larger, "silent"), CLOUD))
+        messages.append(("/silent", CLOUD, stamp_ns(time_s), message))
+    messages = sorted((each for each in messages if each[2] >= stamp_ns(3.0)), key=lambda message: message[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages, chunk_size=20_000)
+    with closing(open_source(find_source([locate(tmp_path / "a.mcap")]))) as recording:
+        span = cloud_span(recording)
+        found = find_standstills(recording, span)
+        assert richest_topics(recording, span) == ["/silent", "/points"]
+    assert found.evidence == "the clouds on '/points'"
+    assert len(found.spans) == 2
+
+
+def test_the_last_frame_of_a_standstill_counts(tmp_path: Path) -> None:
+    store = ros1_types()
+    messages = [*clouds(store, store.serialize_ros1, real=False), *odometry(store, store.serialize_ros1)]
+    still = sorted((raw for raw in messages if stamp_ns(9.0) <= raw[2] <= stamp_ns(9.8)), key=lambda raw: raw[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding="ros1", messages=still)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=10))
+    assert len(snapshot["roof"].scans) == sum(topic == "/points" for topic, *_ in still)
