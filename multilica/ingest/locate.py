@@ -126,18 +126,18 @@ def require_distinct(paths: Sequence[SourceFile]) -> None:
 def are_stops(paths: Sequence[SourceFile]) -> bool:
     """Return whether each path is a folder with a snapshot of the same LiDARs, rather than with frames of one LiDAR.
 
-    Folders of point files are stops if all hold files of the same names, more than one. Names that only count, as in
-    0001.pcd and 0002.pcd, are frames of one LiDAR. Folders of folders with frames are stops if these have the same
-    names.
+    Folders of point files are stops if all hold files of the same names, two or more; further ones are of LiDARs that
+    other stops lack. Names that only count, as in 0001.pcd and 0002.pcd, are frames of one LiDAR. So are folders of
+    folders with frames.
     """
     if len(paths) < 2 or not all(isinstance(path, Path) and path.is_dir() for path in paths):
         return False
     sources = [_look_at(path) for path in paths]
-    names = [{lidar.topic for lidar in source.frames} for source in sources]
-    if any(source.recordings for source in sources) or len(names[0]) < 2 or any(each != names[0] for each in names):
+    names = set.intersection(*({lidar.topic for lidar in source.frames} for source in sources))
+    if any(source.recordings for source in sources) or len(names) < 2:
         return False
-    are_folders = all((path / name).is_dir() for path in paths for name in names[0])
-    return are_folders or len({re.sub(r"\d+", "#", name) for name in names[0]}) > 1
+    are_folders = all((path / name).is_dir() for path in paths for name in names)
+    return are_folders or len({re.sub(r"\d+", "#", name) for name in names}) > 1
 
 
 TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]

@@ -13,6 +13,7 @@ from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.live import LiveRecording, open_live
 from multilica.ingest.locate import (
     PathLike,
+    are_stops,
     find_source,
     listed_names,
     locate,
@@ -102,7 +103,7 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UnfitSnapshotError: there are no point clouds, or none in the window.
         MemoryLimitError: reading takes more than `config.max_memory_mb`.
         UnknownNameError: there is no point cloud topic of that name.
-        UsageError: several recordings of the same LiDAR, or a topic with two names.
+        UsageError: several recordings or folders of the same LiDARs, or a topic with two names.
     """
     (snapshot,) = read_ranges([source] if isinstance(source, PathLike) else source, [None], config=config)
     return snapshot
@@ -121,6 +122,11 @@ def read_ranges(
     """
     start_s = time.perf_counter()
     paths = [locate(each) for each in sources]
+    if are_stops(paths):
+        raise UsageError(
+            f"{listed_names(paths)} are several snapshots of one rig, with the same LiDARs; expected one of them, "
+            "or all of them for `multilica calibrate`."
+        )
     found = find_source(paths)
     config = config or config_for(found.files)
     snapshots = []

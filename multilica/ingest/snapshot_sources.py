@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
+from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.locate import PathLike, are_stops, find_source, locate, require_distinct
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
-from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.window import choose_topics, collect_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot
 
@@ -40,12 +41,13 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
     Raises:
         SourceNotFoundError: nothing exists at one of the paths.
         UnreadableSourceError: a recording cannot be read.
-        UsageError: only some of the recordings share a LiDAR name, or one is given more than once.
+        UsageError: only some of the recordings share a LiDAR name, or one is given more than once, perhaps as a copy.
         UnknownNameError: none of the recordings has a topic.
     """
     config = config or IngestConfig()
     paths = tuple(locate(source) for source in sources)
     if are_stops(paths):
+        _require_different(paths)
         return tuple(
             SnapshotSource(name, (path,), tuple(sorted(lidar.lidar for lidar in find_source(path).frames)))
             for name, path in zip(_snapshot_names(paths), paths, strict=True)
@@ -63,6 +65,7 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
     named = zip(_snapshot_names(paths), paths, lidars, strict=True)
     found = tuple(SnapshotSource(name, (path,), each) for name, path, each in named)
     _require_shared({str(source.paths[0]): source.lidars for source in found if source.lidars})
+    _require_different(paths)
     return found
 
 
@@ -84,6 +87,22 @@ def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
         except UnfitSnapshotError:
             return ()
         return assemble_snapshot(found.label, given, window).names
+
+
+def _require_different(paths: Sequence[SourceFile]) -> None:
+    """Raise UsageError if two local sources are the same, or a copy: they would count twice."""
+    require_distinct(paths)
+    alike: dict[tuple[int, ...], list[SourceFile]] = {}
+    for path in paths:
+        files = find_source(path).files
+        if not any(isinstance(file, RemoteFile) for file in files):
+            alike.setdefault(tuple(sorted(file.stat().st_size for file in files)), []).append(path)
+    for of_one_size in alike.values():
+        known: dict[str, SourceFile] = {}
+        for path in of_one_size if len(of_one_size) > 1 else ():
+            first = known.setdefault(sha256_of_files(find_source(path).files), path)
+            if first is not path:
+                raise UsageError(f"{first} and {path} hold the same data; give one of them, or it counts twice.")
 
 
 def _require_shared(lidars: Mapping[str, tuple[str, ...]]) -> None:

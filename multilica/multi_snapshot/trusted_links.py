@@ -22,6 +22,7 @@ from multilica.multi_snapshot.motions import (
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
 from multilica.registration.poses import is_distinct, is_near
+from multilica.registration.widening import loosened
 from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
 from multilica.results.registrations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
@@ -31,6 +32,8 @@ ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
 
 # Beams contradict a pose that is off by more.
 _TOLD_M = 0.3
+# Factor of the standard deviations of links whose position no other tells.
+_ALONE_IN_PLACE = 2.0
 _ALONE = "no other link confirms it"
 _ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
 _ALIKE = "links contradict each other, so the place looks like another one"
@@ -157,7 +160,13 @@ def refine_linked(
             within, left = ([pair for pair in each if spares(knock, pair)] for each in (within, left))
             continue
         linked = solution.linked
-        rig = refine(root, _told_poses(root, solution, within), [pair.registration for pair in within], config, linked)
+        rig = refine(
+            root,
+            _told_poses(root, solution, within),
+            [pair.registration for pair in within],
+            config,
+            replace(linked, links=[_as_certain_as_told(link, followed) for link in linked.links]),
+        )
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
             against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
@@ -186,6 +195,13 @@ def refine_linked(
         tuple(described(each, used=each in agreeing) for each in motions),
         find_possible_knock(root, solution, [*pairs]) if left else None,
     )
+
+
+def _as_certain_as_told(link: ViewPair, solution: ViewSolution) -> ViewPair:
+    """Return a link, less certain than it says if nothing but itself tells where it is."""
+    if not link.is_unique or solution.tells_place_of(link):
+        return link
+    return replace(link, registration=loosened(link.registration, _ALONE_IN_PLACE))
 
 
 def _told_poses(root: str, solution: ViewSolution, within: Sequence[ViewPair]) -> dict[str, RigidTransform]:

@@ -118,15 +118,15 @@ class ViewSolution:
         """
         if link not in self.pairs:
             return False
-        jacobian, columns = self.poses.jacobian(link)
-        others = [pair for pair in self.pairs if pair is not link]
-        information = PairEquations.of(self.poses, others, self.grounds).at(self.poses).information
-        inverse = np.linalg.inv(information + _prior(len(information)))
-        scale = np.repeat([LEVER_ARM_M, 1.0], 3)
-        covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
-        if link.is_unique and np.linalg.eigvalsh(covariance[:3, :3])[-1] < _CONFIRMED_M**2:
-            return True
-        variances, directions = np.linalg.eigh(covariance)
+        if link.is_unique:
+            attitude = self._told_by_others(link)[:3, :3]
+            if np.linalg.eigvalsh(attitude)[-1] < _CONFIRMED_M**2:
+                return True
+        return self.tells_place_of(link)
+
+    def tells_place_of(self, link: ViewPair) -> bool:
+        """Return whether the others tell the position of a link of this solution too, as `is_confirmed` wants it."""
+        variances, directions = np.linalg.eigh(self._told_by_others(link))
         loose = directions[:, variances > _CONFIRMED_M**2]
         if loose.shape[1] == 0 or (loose.shape[1] == 1 and variances[-1] < _ALONG_ONE_AXIS_M**2):
             return True
@@ -137,6 +137,15 @@ class ViewSolution:
             return False
         rotation = self.poses.pose_of(link.target, within=not link.is_link).rotation
         return bool(np.abs(loose[3:, 0] @ (rotation.T @ up)) > _VERTICAL)
+
+    def _told_by_others(self, link: ViewPair) -> FloatArray:
+        """Return the covariance (6, 6) of a link's pose by all other pairs; rotations count as arcs."""
+        jacobian, columns = self.poses.jacobian(link)
+        others = [pair for pair in self.pairs if pair is not link]
+        information = PairEquations.of(self.poses, others, self.grounds).at(self.poses).information
+        inverse = np.linalg.inv(information + _prior(len(information)))
+        scale = np.repeat([LEVER_ARM_M, 1.0], 3)
+        return np.asarray(jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale))
 
     @property
     def _vertical(self) -> FloatArray | None:

@@ -34,9 +34,9 @@ def invoke(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.fixture(scope="session")
 def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with recordings of two LiDARs of the embedded sample: first, turned, second, alone and other.
+    """A directory with recordings of two LiDARs of the embedded sample: first, turned, second, alone, alone_too and other.
 
-    The points of the left one are turned by 3 degrees in `turned`; `alone` lacks it, `other` has other names.
+    The points of the left one are turned by 3 degrees in `turned`; `alone` and `alone_too` lack it, `other` has other names.
     """
     folder = tmp_path_factory.mktemp("snapshots")
     sample = read_snapshot(find_sample().recording)
@@ -46,6 +46,7 @@ def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_recording(folder / "second.mcap", frames[1])
     write_recording(folder / "turned.mcap", {**frames[0], "left": turn.apply(frames[0]["left"])})
     write_recording(folder / "alone.mcap", {"right": frames[0]["right"]})
+    write_recording(folder / "alone_too.mcap", {"right": frames[1]["right"]})
     write_recording(folder / "other.mcap", {"top": frames[0]["left"], "rear": frames[0]["right"]})
     return folder
 

@@ -9,13 +9,14 @@ import pytest
 from multilica import drive_calibration
 from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot import trusted_links
 from multilica.multi_snapshot.common_ground import ground_pairs
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.orchestration.links import FoundLinks
 from multilica.results import CalibrationResult, DriveView, LidarPlacement
 from multilica.workers import Workers
-from tests.multi_snapshot.made_drive import LIDARS, STOPS, pair, pairs, view_pose
+from tests.multi_snapshot.made_drive import LIDARS, STOPS, STRAIGHT, pair, pairs, view_pose
 
 _OVER_GROUND = RigidTransform.from_xyz_rpy("ground", "A", [0.0, 0.0, 1.8], [0.01, -0.02, 0.0])
 _LEVELS = {name: _OVER_GROUND @ pose for name, pose in LIDARS.items()}
@@ -70,6 +71,23 @@ def test_of_a_unique_link_only_the_attitude_has_to_be_told(sigmas, is_confirmed)
     unique = replace(link, is_unique=True)
     assert not solve_views("A", [link, rough]).is_confirmed(link)
     assert solve_views("A", [unique, rough]).is_confirmed(unique) == is_confirmed
+
+
+@pytest.mark.parametrize(("others", "factor"), [("", 2.0), (" A2-B3", 1.0)], ids=["alone", "with another"])
+def test_a_link_that_alone_tells_a_position_is_less_certain(monkeypatch, others, factor):
+    turned = np.diag(np.repeat([1e4, 1e-6], 3))
+    text = f"A1-B3 A1-A2 A2-A3 A1-A3 B1-B2 B2-B3 B1-B3{others}"
+    links = pairs(text, np.random.default_rng(1), stops=STRAIGHT)
+    attitude = pair("A1", "B1")
+    attitude = replace(attitude, registration=replace(attitude.registration, information=turned))
+    links[0] = replace(links[0], is_unique=True)
+    sigmas_m = []
+    for each in (2.0, 1.0):
+        monkeypatch.setattr(trusted_links, "_ALONE_IN_PLACE", each)
+        within = dict.fromkeys(STOPS, ()) | {"stop 1": (attitude.registration,)}
+        rig = refine_linked("A", within, links, RefineConfig()).rig
+        sigmas_m.append(np.sqrt(np.linalg.eigvalsh(rig.covariances["B"][3:, 3:])[-1]))
+    assert sigmas_m[0] / sigmas_m[1] == pytest.approx(factor, rel=0.3)
 
 
 def test_a_pose_that_links_leave_open_has_a_wide_covariance():

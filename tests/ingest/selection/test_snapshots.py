@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from tests.ingest.support.recording_writers import make_snapshot, write_mcap, wr
 
 def recording(path: Path, lidars: int = 2) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_mcap(make_snapshot(lidars), path)
+    write_mcap(make_snapshot(lidars, seed=zlib.crc32(bytes(path))), path)
     return path
 
 
@@ -38,7 +40,7 @@ def test_a_lidar_that_only_one_snapshot_has_is_known(tmp_path: Path) -> None:
 
 def test_folders_with_a_bag_each_are_snapshots(tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
-        write_ros2_bag(make_snapshot(), tmp_path / name)
+        write_ros2_bag(make_snapshot(seed=len(name)), tmp_path / name)
     found = find_snapshots([tmp_path / "monday", tmp_path / "tuesday"])
     assert [each.name for each in found] == ["monday", "tuesday"]
 
@@ -97,7 +99,7 @@ def folder(path: Path, *names: str) -> Path:
     """Point files of a few points each."""
     for name in names:
         (path / name).parent.mkdir(parents=True, exist_ok=True)
-        np.save(path / name, np.eye(3, dtype=np.float32))
+        np.save(path / name, np.full((3, 3), zlib.crc32(bytes(path / name)) % 1000, dtype=np.float32))
     return path
 
 
@@ -120,13 +122,38 @@ def test_folders_with_the_same_lidars_are_a_snapshot_each(tmp_path: Path, names:
     assert set(inspect_source(paths).taken_for.values()) == {"LiDARs of one snapshot"}
 
 
+def test_a_stop_may_lack_lidars(tmp_path: Path) -> None:
+    names = ("front.npy", "rear.npy", "top.npy")
+    paths = [folder(tmp_path / "stop1", *names), folder(tmp_path / "stop2", *names[:2])]
+    assert [each.lidars for each in find_snapshots(paths)] == [("front", "rear", "top"), ("front", "rear")]
+
+
+def test_stops_are_not_one_snapshot(tmp_path: Path) -> None:
+    paths = [folder(tmp_path / stop, "front.npy", "rear.npy") for stop in ("stop1", "stop2")]
+    with pytest.raises(UsageError, match=r"stop1, stop2 are several snapshots of one rig"):
+        read_snapshot(paths)
+
+
+def test_the_same_data_counts_once(tmp_path: Path) -> None:
+    first, copy = recording(tmp_path / "a.mcap"), tmp_path / "b.mcap"
+    copy.write_bytes(first.read_bytes())
+    with pytest.raises(UsageError, match=r"a\.mcap and .*b\.mcap hold the same data"):
+        find_snapshots([first, copy])
+    stop = folder(tmp_path / "stop1", "front.npy", "rear.npy")
+    with pytest.raises(UsageError, match="given more than once"):
+        find_snapshots([stop, tmp_path / "." / "stop1"])
+    shutil.copytree(stop, tmp_path / "stop2")
+    with pytest.raises(UsageError, match=r"stop1 and .*stop2 hold the same data"):
+        find_snapshots([stop, tmp_path / "stop2"])
+
+
 @pytest.mark.parametrize(
     ("first", "second"),
     [
         (("0001.npy", "0002.npy"), ("0001.npy", "0002.npy")),
         (("frame_9.npy", "frame_10.npy"), ("frame_9.npy", "frame_10.npy")),
         (("scan.npy",), ("scan.npy",)),
-        (("front.npy", "rear.npy"), ("front.npy", "rear.npy", "top.npy")),
+        (("front.npy", "rear.npy"), ("front.npy", "top.npy")),
     ],
 )
 def test_folders_of_frames_are_a_lidar_each(tmp_path: Path, first: tuple[str, ...], second: tuple[str, ...]) -> None:
