@@ -120,6 +120,8 @@ def _require_plain_events(events: Iterable[Any]) -> None:
 def first_problem(error: ValidationError) -> tuple[str, str, object]:
     """Return the place of a model's first problem, as ``section.key``, its meaning as a clause, and what was found."""
     first = error.errors(include_url=False, include_context=False)[0]
+    if first["type"] == "model_type":
+        return ".".join(map(str, first["loc"])), "expected a table of keys", first["input"]
     what = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     return ".".join(map(str, first["loc"])), f"{what[:1].lower()}{what[1:]}", first["input"]
 

@@ -55,9 +55,18 @@ def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
 
 def mcap_name(option: typer.CallbackParam, out: Path | None) -> Path | None:
     """Return the path of an option that names an MCAP file to write; refuse an address or another suffix."""
+    return _named(option, out, ".mcap")
+
+
+def png_name(option: typer.CallbackParam, out: Path | None) -> Path | None:
+    """Return the path of an option that names a picture to write; refuse an address or another suffix."""
+    return _named(option, out, ".png")
+
+
+def _named(option: typer.CallbackParam, out: Path | None, suffix: str) -> Path | None:
     local_path(option, out)
-    if out is not None and out.suffix != ".mcap":
-        raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
+    if out is not None and out.suffix != suffix:
+        raise UsageError(f"Found {option.opts[0]} {out}; expected a name that ends in {suffix}.")
     return out
 
 

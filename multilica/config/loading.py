@@ -77,7 +77,7 @@ def preset(name: str) -> CalibrationConfig:
     return CalibrationConfig.model_validate(PRESETS[name])
 
 
-def load_config(path: Path) -> CalibrationConfig:
+def load_config(path: Path | str) -> CalibrationConfig:
     """Read a TOML file; missing keys come from the preset that it names, else from `default`.
 
     Raises:
@@ -85,7 +85,7 @@ def load_config(path: Path) -> CalibrationConfig:
             preset and has no effect.
         UnknownNameError: no such preset.
     """
-    table = read_config_table(path)
+    table = read_config_table(Path(path))
     base = preset(str(table.get("preset", "default")))
     config = _merged(base, table, str(path))
     # A file that `multilica config --toml` wrote has every key.

@@ -16,7 +16,7 @@ from multilica.errors import UsageError
 from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica_cli.commands.calibrate import print_placements
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Quiet, argument, local_path, option, output
+from multilica_cli.options import Json, Quiet, argument, local_path, option, output, png_name
 from multilica_cli.terminal import (
     ERROR_COLUMNS,
     FoldingTable,
@@ -210,7 +210,8 @@ def view(
     run: Annotated[Path, argument("RUN", "A run directory or a recording (.rrd), also one that was cut off.")],
     *,
     png: Annotated[
-        Path | None, output("--png FILE", "Draw a picture instead of opening a window; needs no screen.")
+        Path | None,
+        option("--png FILE", "Draw a picture instead of opening a window; needs no screen.", callback=png_name),
     ] = None,
     width_px: Annotated[int, option("--width PX", "Width of the picture.")] = 1600,
     height_px: Annotated[int, option("--height PX", "Height of the picture.")] = 900,
