@@ -44,7 +44,7 @@ class InputEntry(Entry):
     """The snapshot that was calibrated."""
 
     source: str = Field(description="Name of the file, or address; empty for data in memory.")
-    sha256: str = Field(description="Hash of the file; empty if it is not known.")
+    sha256: str = Field(description="Hash of the file, or of the hashes of several; empty if it is not known.")
     lidars: Mapping[str, InputLidarEntry] = Field(description="Per LiDAR.")
     notes: tuple[str, ...] = Field((), description="Warnings of the reader, such as lost scans or implausible points.")
 

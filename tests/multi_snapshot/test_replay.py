@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from multilica import events
 from multilica.multi_snapshot import replay
@@ -45,3 +46,12 @@ def test_snapshots_without_links_are_no_drive():
     seen, _ = _replayed(drive=False)
     assert seen[0].stops == ()
     assert not [event for event in seen if isinstance(event, events.StopsLinked)]
+
+
+@pytest.mark.parametrize(("digests", "is_kept"), [("aa", True), ("ab", False)], ids=["one log", "two recordings"])
+def test_stops_of_one_log_have_its_hash(digests, is_kept):
+    told = [*made_events()]
+    reports = tuple(SnapshotReport(name, "made", digest) for name, digest in zip("12", digests, strict=True))
+    seen = []
+    replay(told[0].snapshot, replace(told[-1].result, snapshots=reports), told[0].config, seen.append)
+    assert (seen[0].snapshot.source_sha256 == digests[0]) == is_kept
