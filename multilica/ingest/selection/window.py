@@ -230,6 +230,9 @@ def _shortages(stream: TopicFrames, streams: list[TopicFrames], damage: str) -> 
         return [f"'{stream.topic}': {taken} of {stream.wanted} scans, then {damage}."]
     if stream.fell_silent:
         patience_s = PATIENCE_NS / 1e9
+        if not taken:
+            advice = "a later --start may have it"
+            return [f"'{stream.topic}' is left out: no scan for {patience_s:.0f} s; {advice}."]
         return [f"'{stream.topic}' fell silent: {taken} of {stream.wanted} scans, then none for {patience_s:.0f} s."]
     if taken + len(stream.broken) < max(len(other.clouds) for other in streams):
         scans = "1 scan" if taken == 1 else f"{taken} scans"

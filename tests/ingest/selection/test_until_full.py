@@ -45,7 +45,7 @@ def test_one_that_comes_back_much_later_has_seen_something_else(tmp_path: Path) 
     write_mcap(Snapshot((front, replace(rear, scans=rear.scans[150:]))), tmp_path / "a.mcap")
     snapshot = read_snapshot(tmp_path / "a.mcap", config=FIVE)
     assert snapshot.names == (front.name,)
-    assert snapshot.notes == (f"'{rear.topic}' fell silent: 0 of 5 scans, then none for 10 s.",)
+    assert snapshot.notes == (f"'{rear.topic}' is left out: no scan for 10 s; a later --start may have it.",)
 
 
 def test_one_that_starts_later(tmp_path: Path) -> None:
