@@ -34,9 +34,10 @@ def invoke(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.fixture(scope="session")
 def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with recordings of two LiDARs of the embedded sample: first, turned, second, alone, alone_too and other.
+    """A directory with recordings of two LiDARs of the embedded sample.
 
-    The points of the left one are turned by 3 degrees in `turned`; `alone` and `alone_too` lack it, `other` has other names.
+    They are first, turned, second, alone, alone_too and other. The points of the left one are turned by 3 degrees in
+    `turned`; `alone` and `alone_too` lack it, `other` has other names.
     """
     folder = tmp_path_factory.mktemp("snapshots")
     sample = read_snapshot(find_sample().recording)
