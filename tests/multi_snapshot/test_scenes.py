@@ -86,7 +86,8 @@ def test_turned_lidar_is_outvoted_by_two_refused_by_one():
 @pytest.mark.in_turn
 def test_joint_result_is_replayed_with_its_best_snapshot(tmp_path):
     missing = replace(_run("garage").result, placements=(*_run("garage").result.placements, _placement("rear")))
-    runs = [_run("parking", tampered=True), _run("garage"), replace(_run("parking"), result=missing)]
+    other = replace(_run("parking", tampered=True), source_sha256="beef")
+    runs = [other, _run("garage"), replace(_run("parking"), result=missing)]
     config = with_overrides(_CONFIG, ["ground.enabled=true"])
     joint = join(runs, config)
     assert shown_snapshot(joint) == "garage"
