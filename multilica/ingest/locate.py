@@ -127,8 +127,8 @@ def are_stops(paths: Sequence[SourceFile]) -> bool:
     """Return whether each path is a folder with a snapshot of the same LiDARs, rather than with frames of one LiDAR.
 
     Folders of point files are stops if all hold files of the same names, two or more; further ones are of LiDARs that
-    other stops lack. Names that only count, as in 0001.pcd and 0002.pcd, are frames of one LiDAR. So are folders of
-    folders with frames.
+    other stops lack. Names that only count, as in 0001.pcd and 0002.pcd, are frames of one LiDAR. Folders of folders
+    with frames are stops if two or more of these have the same names, whatever the names.
     """
     if len(paths) < 2 or not all(isinstance(path, Path) and path.is_dir() for path in paths):
         return False

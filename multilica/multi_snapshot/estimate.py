@@ -26,7 +26,7 @@ class Estimate:
 
 def chained(root: str, pairs: Sequence[PairRegistration]) -> dict[str, RigidTransform]:
     """Return ``T_root_lidar`` of every LiDAR connected to the root, by the registrations with the most evidence."""
-    return PairGraph.of({root}.union(*(pair.lidars for pair in pairs)), pairs).poses(root)
+    return PairGraph.of(sorted({root}.union(*(pair.lidars for pair in pairs))), pairs).poses(root)
 
 
 def estimate_poses(root: str, pairs: Sequence[PairRegistration], config: RefineConfig) -> Mapping[str, Estimate]:

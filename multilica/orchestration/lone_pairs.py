@@ -23,7 +23,7 @@ from multilica.stages.fine import leads_surely
 
 # Groups are registered at so many further poses of a pair, the likeliest ones; six LiDARs take some seconds.
 _MOST_ELSEWHERE = 2
-# A wrong pose in a tunnel fits by chance at one of 15 places, a metre apart: LiDARs of a vehicle are that near.
+# A wrong pose in a tunnel may fit at any of 15 places a metre apart: LiDARs of one vehicle are within 15 m.
 _OF_LONG_PLACE = log(15.0)
 
 

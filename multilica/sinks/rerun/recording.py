@@ -119,11 +119,12 @@ def _flush(scene: RerunScene, _event: events.Event | None = None) -> None:
             scene.stream.flush(timeout_sec=_GLANCE_S)
         except RuntimeError as error:
             now_s, written = time.monotonic(), scene.file.stat().st_size
-            if written > size:
-                size, since_s = written, now_s
+            has_ended = now_s - begun_s < 0.5 * _GLANCE_S  # it did not wait
             is_full = shutil.disk_usage(scene.file.parent).free == 0
-            has_ended = now_s - begun_s < 0.5 * _GLANCE_S
-            if not (is_full or has_ended or now_s - since_s > _SILENCE_S):
+            if not has_ended and written > size:
+                size, since_s = written, now_s
+                continue
+            if not (has_ended or is_full or now_s - since_s > _SILENCE_S):
                 continue
             _abandon(scene)
             code = errno.ENOSPC if is_full else errno.EIO
