@@ -246,8 +246,18 @@ def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: Pre
         best = registration.registrations[0]
         poses = [each.as_hypothesis(best) for each in (best, *further)]
         poses = [replace(each, T_target_source=each.T_target_source.with_target(name)) for each in poses]
-        search.registration = register_sides(target.side, source.side, poses, config)
+        found = register_sides(target.side, source.side, poses, config)
+        search.registration = _with_poses(found, registration.registrations[1:], config)
         search.verified = (*search.verified, *further)
+
+
+def _with_poses(found: PairRegistration, others: Sequence[Registration], config: CalibrationConfig) -> PairRegistration:
+    """Return a registration with the further poses of an earlier one of the same sides, which count in the verdict."""
+    poses = [each.T_target_source for each in found.registrations]
+    further = [each for each in others if is_distinct(each.T_target_source, poses)]
+    best, *rest = found.registrations
+    ranked = (best, *sorted((*rest, *further), key=lambda each: -each.evidence))
+    return replace(found, registrations=ranked, verdict=accept(ranked, config.acceptance))
 
 
 def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:

@@ -115,6 +115,7 @@ def publish(directory: Path) -> None:
     # A list that came with the directory may hold anything; only entries of `unfinished` are moved.
     present = {path.name for path in unfinished.iterdir()}
     names = [name for name in whole if isinstance(name, str)] if isinstance(whole, list) else []
+    _remove_snapshots(directory, keep=names)
     for path in outputs(directory):
         if path.name not in names:
             path.unlink(missing_ok=True)
@@ -123,6 +124,18 @@ def publish(directory: Path) -> None:
             shutil.rmtree(directory / name)
         (unfinished / name).replace(directory / name)
     shutil.rmtree(unfinished)
+
+
+def _remove_snapshots(directory: Path, keep: Sequence[str] = ()) -> None:
+    """Remove the directories of the single snapshots that the result of an earlier run names, but those to keep."""
+    earlier = _result(directory).get("snapshots")
+    for each in earlier if isinstance(earlier, list) else []:
+        name = each.get("name") if isinstance(each, dict) else None
+        if not isinstance(name, str) or name in keep or Path(name).name != name or name in ("", ".."):
+            continue
+        place = directory / name
+        if (place / CONFIG_TOML).is_file() and not place.is_symlink() and not _is_foreign(place / CONFIG_TOML):
+            shutil.rmtree(place)
 
 
 def _is_foreign(config: Path) -> bool:
@@ -139,11 +152,17 @@ def _is_unfinished_run(unfinished: Path) -> bool:
 
 def _holds_result(directory: Path) -> bool:
     """Return whether an earlier run left a result that is not a refusal."""
+    found = _result(directory)
+    return bool(found) and found.get("refusal") is None
+
+
+def _result(directory: Path) -> dict[str, object]:
+    """Return the result that an earlier run left; empty if there is none that can be read."""
     try:
         document = parse_json(read_limited(directory / RESULT_JSON, MAX_JSON_BYTES))
     except (OSError, DocumentError):
-        return False
-    return isinstance(document, dict) and document.get("refusal") is None
+        return {}
+    return document if isinstance(document, dict) else {}
 
 
 @dataclass(slots=True, eq=False)
@@ -177,6 +196,7 @@ class RunDirectory:
 
     def start(self) -> None:
         """Remove what an unfinished run left, and write the configuration."""
+        _remove_snapshots(self.place)
         for path in outputs(self.place):
             for left in (path, *begun_files(path)):
                 left.unlink(missing_ok=True)

@@ -193,6 +193,39 @@ def test_an_entry_of_the_users_own_is_not_overwritten(tmp_path):
     assert (tmp_path / "unfinished" / "chapter.txt").read_text() == "mine"
 
 
+def lay_snapshots(finished, directory, names, is_refused=False):
+    """An earlier joint run, whose result names snapshots with directories of their own."""
+    lay(finished, directory)
+    result = json.loads((directory / "result.json").read_text())
+    result["snapshots"] = [{"name": name} for name in names]
+    result["refusal"] = {"code": "few"} if is_refused else None
+    (directory / "result.json").write_text(json.dumps(result))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_refused", [False, True])
+def test_snapshots_of_an_earlier_run_go_with_it(finished, tmp_path, is_refused):
+    run, mine = tmp_path / "run", tmp_path / "run" / "mine"
+    lay_snapshots(finished, run, ["stop_1", "stop_2", "mine"], is_refused)
+    lay(finished, run / "stop_1")
+    lay(finished, run / "stop_2")
+    mine.mkdir()
+    run_into(run)
+    assert {path.name for path in run.iterdir()} == NAMES | {"mine"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["..", "../other", "/", "", 7, "link"])
+def test_a_snapshot_elsewhere_is_not_removed(finished, tmp_path, name):
+    lay(finished, tmp_path)
+    lay(finished, tmp_path / "other")
+    before = files_in(tmp_path)
+    lay_snapshots(finished, tmp_path / "run", [name])
+    (tmp_path / "run" / "link").symlink_to(tmp_path / "other")
+    run_into(tmp_path / "run")
+    assert {path: data for path, data in files_in(tmp_path).items() if path.parts[0] != "run"} == before
+
+
 @pytest.mark.slow
 def test_a_second_run_in_the_same_directory_is_refused(tmp_path):
     with open_run(tmp_path, CONFIG), pytest.raises(UsageError, match="Another multilica run is writing to"):

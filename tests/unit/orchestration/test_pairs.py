@@ -133,6 +133,24 @@ def test_a_link_that_counts_is_registered_beside_far_ones(lidars, monkeypatch):
     assert len(asked) == 1
 
 
+@pytest.mark.slow
+def test_poses_known_before_count_beside_those_found_later(lidars, monkeypatch):
+    lidars = {name: lidar.with_view(replace(lidar.view, at_stop=True)) for name, lidar in lidars.items()}
+    monkeypatch.setattr(pairs, "find_poses_beside", lambda *_, **__: [])
+    search = _search(lidars)
+    (best, *_) = search.registration.registrations
+    assert search.registration.verdict.accepted
+    frame = best.T_target_source.target
+    away, astray = (RigidTransform.from_xyz_rpy(frame, frame, (x_m, 0, 0), (0, 0, 0)) for x_m in (6.0, -200.0))
+    rival = replace(best, T_target_source=away @ best.T_target_source)
+    hopeless = replace(best, T_target_source=astray @ best.T_target_source)
+    search.registration = replace(search.registration, registrations=(best, rival))
+    monkeypatch.setattr(pairs, "find_poses_beside", lambda *_, **__: [hopeless])
+    pairs._beside_further_poses(search, lidars["t"], lidars["s"])
+    assert rival in search.registration.registrations
+    assert search.registration.verdict.outcome == "undecided"
+
+
 def test_a_pose_that_did_not_lead_is_registered_beside_its_own(lidars, monkeypatch):
     """The verification preferred a pose 20 m away; the registered one was not tested beside its own."""
     asked = _asked_for_poses_beside(monkeypatch)
