@@ -196,7 +196,7 @@ def rig_of_run(
     """Return the poses of the placed LiDARs of a run.
 
     Args:
-        base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, the base frame on the ground that
+        base: the common frame: a LiDAR, by its name or frame id, a frame of `rig`, or, without `rig`, the base frame on the ground that
             the run found, or another name of the target's frame; by default the common frame of `rig`, else the base
             frame of the run if a rig file gave it x, y and yaw, else the target's.
         rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
@@ -207,7 +207,8 @@ def rig_of_run(
         The poses by frame, in the base frame, and the frame of each LiDAR that has a pose, the target among them.
 
     Raises:
-        InputError: only the target is placed, frame ids are missing or not unique, or the base frame is uncertain.
+        InputError: only the target is placed, frame ids are missing or not unique, or the base frame is uncertain or
+            that of a LiDAR without a pose.
         UnknownNameError: `rig` lacks the base frame or the target.
         UsageError: a frame cannot be named.
     """
@@ -225,6 +226,7 @@ def rig_of_run(
         T_base_target = RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))
         found = found.seen_from(T_base_target)
     else:
+        base = base if rig is not None else _frame_of_base(document, base, named)
         found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
         if not frame or not frame.isprintable() or frame != frame.strip():
@@ -249,6 +251,27 @@ def _frame_ids(document: ResultDocument) -> dict[str, str]:
     return {name: entry.frame_id.removeprefix("/") for name, entry in document.input.lidars.items()}
 
 
+def _frame_of_base(document: ResultDocument, base: str | None, named: Mapping[str, str]) -> str | None:
+    """Return the frame of the LiDAR whose name or frame id is given; another name, which a base may have, as it is.
+
+    Args:
+        named: the frame of each LiDAR that has a pose.
+    """
+    ids = _frame_ids(document)
+    if base == ids.get(document.target):
+        return base
+    lidars = [base] if base in document.lidars else [name for name in document.lidars if ids.get(name) == base]
+    if base is None or not lidars:
+        return base
+    if len(lidars) > 1:
+        raise InputError(f"{len(lidars)} LiDARs of the run have the frame id '{base}'; give a LiDAR's name as --base.")
+    if lidars[0] not in named:
+        status = document.lidars[lidars[0]].status.replace("_", " ")
+        further = ", or --with-uncertain" if status == "uncertain" else ""
+        raise InputError(f"{lidars[0]} is {status} and cannot be the common frame; give another --base{further}.")
+    return named[lidars[0]]
+
+
 def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple[str, str]) -> Extrinsics:
     """Return the same poses in another frame, where the target gets a pose of its own; `rig` has one of its names."""
     if rig is not None:
@@ -267,7 +290,8 @@ def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple
     else:
         T_base_target = RigidTransform.identity(str(base), found.target)
     base = T_base_target.target
-    if base in found.members and rig is not None and base != found.target:
+    is_own = base == found.target and np.array_equal(T_base_target.matrix, np.eye(4))
+    if base in found.members and rig is not None and not is_own:
         raise UsageError(f"The base frame '{base}' has the name of a LiDAR of the run; give another one.")
     return found.seen_from(T_base_target)
 

@@ -117,6 +117,27 @@ def test_a_base_can_be_another_lidar(invoke: Invoke) -> None:
     assert_pose("a.txt", "rear", "left", truth("rear", "left"))
 
 
+@pytest.mark.parametrize(("frames", "base"), [("ids", "rear"), ("ids", "rear_link"), ("names", "rear_link")])
+def test_a_base_is_a_lidar_by_name_or_frame_id(invoke: Invoke, frames: str, base: str) -> None:
+    run = made_run(Path("run"))
+    name_frames(run, front="front_link", left="left_link", rear="rear_link")
+    assert invoke("export", run, "--to", "csv", "--out", "a.csv", "--frames", frames, "--base", base).code == 0
+    rear, left = ("rear_link", "left_link") if frames == "ids" else ("rear", "left")
+    assert_pose("a.csv", rear, left, truth("rear", "left"))
+
+
+def test_a_base_is_no_lidar_without_a_pose(invoke: Invoke) -> None:
+    run = made_run(Path("run"), absent=["rear"])
+    name_frames(run, front="link", left="left_link", rear="left_link")
+    outcome = invoke("export", run, "--to", "csv", "--out", "a.csv", "--base", "rear")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert "rear is not placed and cannot be the common frame" in outcome.err
+    outcome = invoke("export", run, "--to", "csv", "--out", "a.csv", "--base", "left_link")
+    assert "2 LiDARs of the run have the frame id 'left_link'; give a LiDAR's name" in outcome.err
+    assert not Path("a.csv").exists()
+    assert invoke("export", run, "--to", "csv", "--out", "a.csv", "--base", "link").out.endswith("left in link\n")
+
+
 @pytest.mark.parametrize("base", [[], ["--base", "base_link"]])
 def test_a_rig_gives_the_base(invoke: Invoke, base: list[str]) -> None:
     run = made_run(Path("run"))
@@ -134,6 +155,15 @@ def test_frame_ids_name_the_frames(invoke: Invoke) -> None:
     assert outcome.code == ExitCode.DONE
     assert_pose("r.mcap", "base_link", "rear_link", MOUNT.matrix @ truth("front", "rear"))
     assert_pose("r.mcap", "base_link", "os_lidar", MOUNT.matrix)
+
+
+def test_a_rig_has_another_base_than_the_target(invoke: Invoke) -> None:
+    run = made_run(Path("run"))
+    name_frames(run, front="base_link", left="left_link", rear="rear_link")
+    rest = ("--to", "csv", "--out", "r.csv", "--frames", "ids", "--rig", write_rig())
+    outcome = invoke("export", run, *rest)
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert "The base frame 'base_link' has the name of a LiDAR of the run" in outcome.err
 
 
 def test_an_existing_urdf_keeps_the_target(invoke: Invoke) -> None:
