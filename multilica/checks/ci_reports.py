@@ -102,7 +102,7 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
 def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = "") -> str:
     """Return a summary in Markdown, with the picture at an address unless that is empty."""
     verdict = joint_verdict([rig.verdict for rig in rigs])
-    lines = [f"## LiDAR extrinsics: {VERDICT_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
+    lines = [f"## LiDAR extrinsics: {VERDICT_WORDS[verdict]}", "", f"Reference: `{escape_controls(reference)}`", ""]
     if picture:
         lines += [f"![differences as shares of the tolerances]({picture})", ""]
         lines += ["Upper bars: translation; lower bars: rotation; thin lines: one sigma.", ""]
@@ -167,7 +167,7 @@ def code_quality_json(rigs: Sequence[RigCheck], reference: str) -> str:
             "check_name": "multilica-check",
             "fingerprint": hashlib.sha256(f"{rig.name}\n{each.lidar}\n{each.verdict}".encode()).hexdigest(),
             "severity": "major" if each.verdict == "outside" else "minor",
-            "location": {"path": reference, "lines": {"begin": 1}},
+            "location": {"path": escape_controls(reference), "lines": {"begin": 1}},
         }
         for rig, each in _findings(rigs)
     ]

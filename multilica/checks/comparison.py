@@ -175,7 +175,8 @@ def _root(
 ) -> tuple[str, list[str]]:
     """Choose the LiDAR with which most agree, the target of the run among equals."""
     if len(placed) < 2:
-        return (target if target in reference.members else min(reference.members)), []
+        names = placed or reference.members
+        return (target if target in names else min(names)), []
     agreeing = {
         root: frozenset(
             name

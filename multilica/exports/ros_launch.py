@@ -86,13 +86,25 @@ def _text(
 ) -> str:
     """Fill in the text of a node per frame, then that of the file; no argument needs quotes (`_frame`)."""
     poses = child_poses(extrinsics)
-    names = ["static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII) for pose in poses]
+    names = _node_names([pose.source for pose in poses])
     words = [arguments(pose) for pose in poses]
     nodes = (
         node.format(name=name, words=" ".join(own), listed=json.dumps(own))
         for name, own in zip(names, words, strict=True)
     )
     return whole.format(nodes="".join(nodes))
+
+
+def _node_names(frames: Sequence[str]) -> list[str]:
+    """Return a name of its own for the node of each frame, as ROS allows it."""
+    names: list[str] = []
+    for frame in frames:
+        name = first = "static_transform_" + re.sub(r"\W", "_", frame, flags=re.ASCII)
+        number = 2
+        while name in names:
+            name, number = f"{first}_{number}", number + 1
+        names.append(name)
+    return names
 
 
 launch_python = partial(_text, _PYTHON_NODE, _PYTHON)

@@ -290,6 +290,8 @@ def _joint(element: Element) -> Joint:
     if links["parent"] == links["child"]:
         raise ValueError(f"joint '{name}' joins '{links['parent']}' to itself")
     origin = element.find("origin")
+    if origin is not None and "quat_xyzw" in origin.attrib:
+        raise ValueError(f"joint '{name}' has its rotation as quat_xyzw, expected rpy")
     xyz_m, rpy_rad = (_three(origin, key, name) for key in ("xyz", "rpy"))
     return Joint(RigidTransform.from_xyz_rpy(links["parent"], links["child"], xyz_m, rpy_rad), name, kind)
 

@@ -15,7 +15,7 @@ import numpy as np
 import multilica
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad, rotation_vector
-from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth, StopPose
+from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth
 from multilica.results.document import (
     RESULT_SCHEMA,
     GroundEntry,
@@ -126,10 +126,6 @@ def pair_entry(pair: PairRegistration) -> PairEntry:
     ]
     pose = pair.T_target_source
     return PairEntry.of(pose, pair, T_target_source=pose.matrix, registrations=registrations)
-
-
-def _stop(stop: StopPose) -> StopEntry:
-    return StopEntry.of(stop.T_first_stop, stop, T_first_stop=stop.T_first_stop.matrix)
 
 
 def _ground(ground: GroundPlane) -> GroundEntry:

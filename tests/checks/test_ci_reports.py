@@ -57,7 +57,8 @@ def test_junit_is_valid_against_its_schema(rigs):
     assert {each.verdict for each in rigs[0].lidars} == {"within", "outside", "undecided"}
     for checks in ([], rigs, rigs[1:], [hostile]):
         assert junit_errors(junit_xml(checks, TIME)) == []
-        summary_markdown(checks, "x").encode()
+        summary_markdown(checks, "x\ud800").encode()
+        code_quality_json(checks, "x\ud800").encode()
         code_quality_json(checks, "x").encode()
 
 

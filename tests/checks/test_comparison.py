@@ -182,6 +182,15 @@ def test_with_nothing_placed_there_is_still_a_root():
     assert (check.root, [each.lidar for each in check.lidars]) == ("front", ["left", "rear"])
 
 
+@pytest.mark.parametrize("base", ["front", "base_link"])
+def test_a_single_placed_lidar_is_the_root(base):
+    """The target of the run is not in the reference, and another of its LiDARs is not placed."""
+    T_base_top = RigidTransform("base_link", "top", np.eye(4)) if base == "base_link" else POSES["front"].inverse()
+    poses = {name: T_base_top @ POSES[name] for name in ("front", "rear") if name != base}
+    check = checked(run_with(without=("front",)), reference=Extrinsics(base, poses))
+    assert (check.root, [each.lidar for each in check.lidars], check.verdict) == ("rear", ["front"], "undecided")
+
+
 def test_what_is_not_placed_is_undecided():
     check = checked(run_with(without=("rear",)))
     assert check.verdict == "undecided"

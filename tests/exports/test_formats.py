@@ -55,6 +55,16 @@ def test_joints_and_nodes_have_names_of_their_own(tmp_path: Path, kind: tuple[st
     assert sorted(map("".join, found)) == sorted(HARD_ANGLES)
 
 
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "launch" in kind[0]], ids="".join)
+def test_nodes_of_like_frames_have_names_of_their_own(tmp_path: Path, kind: tuple[str, str]) -> None:
+    name, suffix = kind
+    frames = ("os-0", "os_0", "os_0_2", "os.0")
+    rig = Extrinsics("base", {frame: RigidTransform.identity("base", frame) for frame in frames})
+    text = export_extrinsics(rig, tmp_path / f"rig{suffix}", name).read_text(encoding="utf-8")
+    found = re.findall(r"static_transform_(?!publisher)\w+", text)
+    assert len(found) == len(set(found)) == len(frames)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids="".join)
 def test_the_same_rig_gives_the_same_bytes(tmp_path: Path, kind: tuple[str, str]) -> None:

@@ -43,6 +43,11 @@ BAD: Mapping[str, tuple[str, str, str]] = {
         ROBOT.format(joint("j", "a", "b", "fixed").replace("<parent", '<origin rpy="0 0 90"/><parent')),
         "expected radians",
     ),
+    "a quaternion in URDF": (
+        "a.urdf",
+        ROBOT.format(joint("j", "a", "b", "fixed").replace("<parent", '<origin quat_xyzw="0 0 1 0"/><parent')),
+        "joint 'j' has its rotation as quat_xyzw, expected rpy",
+    ),
     "degrees in YAML": ("a.yaml", f"a: {{b: {AT.replace('yaw: 0', 'yaw: 90')}}}", "expected radians"),
     "degrees in ROS": ("a.launch", ROS1_NODE.format("tf2_ros", "0 0 0 90 0 0 a b"), "expected radians"),
     "other units": ("a.csv", HEAD.replace("x_m", "x_mm") + "a,b,0,0,0,0,0,0,1\n", "no column 'x_m'"),
