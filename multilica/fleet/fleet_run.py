@@ -95,12 +95,12 @@ def run_fleet(
         MultilicaError: as `find_logs` and `open_executor`.
         StorageError: the store or a disk is full or refuses. The log at hand has no row, so the next run goes on.
     """
-    outcome, digest = FleetOutcome(), _config_digest(options.config, options.calibrate)
+    outcome, digest = FleetOutcome(), _config_digest(options)
     with (
         scratch_folder() as folder,
         full_disk_named(),
         open_executor(options.workers, options.scheduler) as (executor, slots),
-        closing(Plan(folder, store, digest, newest_first=options.newest_first)) as plan,
+        closing(Plan(folder, store, digest, options.limits, newest_first=options.newest_first)) as plan,
     ):
         plan.add(find_logs(logs, options.pattern, outcome.count_unlike))
         plan.settle(lambda addresses: executor.map(partial(identify_guarded, limits=options.limits), addresses))
@@ -115,10 +115,11 @@ def run_fleet(
     return outcome
 
 
-def _config_digest(config: CalibrationConfig, calibrate: str) -> str:
+def _config_digest(options: FleetOptions) -> str:
     """Return the hash of all settings that a result depends on."""
-    values = config.model_dump(mode="json", exclude=_INDIFFERENT)
-    return hashlib.sha256(json.dumps([values, calibrate], sort_keys=True).encode()).hexdigest()[:16]
+    values = options.config.model_dump(mode="json", exclude=_INDIFFERENT)
+    settings = [values, options.tolerances.model_dump(mode="json"), options.calibrate]
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _task(log: QueuedLog, reference: str, *, store: Store, options: FleetOptions, config_sha256: str) -> LogTask:

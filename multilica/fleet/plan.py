@@ -19,6 +19,7 @@ from multilica.errors import StorageError
 from multilica.fleet.listing import FleetLog
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import Store, vehicle_name
+from multilica.fleet.tasks.guard import LogTaskLimits
 from multilica.ingest.metadata import LogIdentity
 from multilica.optional_libraries import needed_for
 
@@ -29,7 +30,7 @@ _BATCH = 2000
 _PARTS = 500
 _MEMORY = "256MB"
 _DONE_COLUMNS = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
-_DONE_COLUMNS += ["config_sha256", "version"]
+_DONE_COLUMNS += ["config_sha256", "version", "elapsed_s", "memory_mb"]
 _TEXTS = ("address", "source", "fingerprint", "vehicle", "key")
 _LOGS = pa.schema(
     [
@@ -72,10 +73,13 @@ class Plan:
 
     Args:
         config_sha256: only rows of this configuration and version count as finished.
+        limits: of the tasks; a log that ended at a smaller one is not finished.
         newest_first: whether each vehicle's logs go from the newest to the oldest.
     """
 
-    def __init__(self, folder: Path, store: Store, config_sha256: str, *, newest_first: bool = False) -> None:
+    def __init__(
+        self, folder: Path, store: Store, config_sha256: str, limits: LogTaskLimits, *, newest_first: bool = False
+    ) -> None:
         self._base = duckdb.connect(str(folder / "plan.duckdb"))
         self._base.execute(f"SET memory_limit='{_MEMORY}'; SET threads=1; SET temp_directory='{folder}'")
         columns = ", ".join(f"{name} {'VARCHAR' if name in _TEXTS else 'BIGINT'}" for name in _LOGS.names)
@@ -85,6 +89,7 @@ class Plan:
             "time_ns BIGINT, accepted VARCHAR)"
         )
         self._config_sha256, self._order = config_sha256, "DESC" if newest_first else "ASC"
+        self._limits = limits
         parts = store.parts("logs")
         # Some at a time: what Arrow knows of each part takes memory.
         while some := list(islice(parts, _PARTS)):
@@ -103,8 +108,9 @@ class Plan:
             """INSERT INTO done SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
                  CASE WHEN state = 'calibrated' AND calibration LIKE '%' || key || '%' THEN calibration ELSE '' END
                FROM stored WHERE config_sha256 = $1 AND version = $2
-                             AND NOT (state = 'failed' AND list_contains($3, reason))""",
-            [self._config_sha256, multilica.__version__, list(PASSING)],
+                             AND NOT (state = 'failed' AND (list_contains($3, reason)
+                               OR reason = 'timeout' AND elapsed_s < $4 OR reason = 'memory' AND memory_mb < $5))""",
+            [self._config_sha256, multilica.__version__, list(PASSING), self._limits.time_s, self._limits.memory_mb],
         )
         self._base.unregister("stored")
 

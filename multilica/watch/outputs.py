@@ -128,20 +128,26 @@ def rows_into(store: Store, vehicle: str, source: str) -> Tell:
 
 
 def _rows(log: LogRow, observation: Observation) -> list[LidarRow]:
-    """Return the poses relative to the target of the calibration; none if that has no pose itself."""
+    """Return the poses relative to the target of the calibration, or to a fixed LiDAR if that is a frame without one.
+
+    Without a pose of its target, no LiDAR has one.
+    """
     found, known = observation.found, observation.known
-    if found is None or known is None or known.target not in found.poses:
+    if found is None or known is None:
         return []
-    T_target_root = found.poses[known.target].inverse()
+    names = {place.lidar for place in found.placements}
+    target = known.target if known.target in names else min(names & known.members)
+    T_root_target = found.poses.get(target)
     rows = []
     for place in found.placements:
-        pose = found.poses.get(place.lidar)
-        row = LidarRow(log.key, log.time_ns, log.source, place.lidar, known.target, "verified", place.status)
-        if pose is None:
-            row = replace(row, reason_text=place.reason)
+        pose, is_target = found.poses.get(place.lidar), place.lidar == target
+        row = LidarRow(log.key, log.time_ns, log.source, place.lidar, target, "verified", place.status)
+        if pose is None or T_root_target is None:
+            reason = "no_target" if pose is not None else "against_prior" if place.contradicts_prior else "unverified"
+            row = replace(row, status="not_placed", reason=reason, reason_text=place.reason)
         else:
-            is_target = place.lidar == known.target
-            covariance = None if is_target else relative_covariance(found[known.target], place, found.target)
-            row = with_pose(row, T_target_root @ pose, covariance)
+            covariance = None if is_target else relative_covariance(found[target], place, found.target)
+            row = with_pose(row, T_root_target.inverse() @ pose, covariance)
+            row = row if place.placed else replace(row, reason="uncertain", reason_text=place.reason)
         rows.append(row)
     return rows

@@ -2,8 +2,10 @@
 import numpy as np
 import pytest
 
+from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.drift import find_offsets
+from multilica.geometry import RigidTransform
 from tests.fleet.made_series import MOUNTED, Motion, made_fleet, made_vehicle, moved_mounting
 
 _NOMINAL = Extrinsics("top", MOUNTED)
@@ -28,6 +30,13 @@ def test_a_wrong_design_is_the_fleets():
     np.testing.assert_allclose(offset.translation_m, _OFF[3:], atol=0.003)
     assert offset.sentence == "left is 40 mm and 0.00 deg off its nominal pose on all 12 vehicles."
     assert find_offsets(fleet) == []
+
+
+def test_nominal_poses_of_other_names_are_refused():
+    other = Extrinsics("base_link", {"lidar_left": RigidTransform.identity("base_link", "lidar_left")})
+    with pytest.raises(UsageError, match="The nominal poses are of base_link, lidar_left; expected two or more"):
+        find_offsets(made_fleet(_rng(), 3, 3, lidars=_RIG), other)
+    assert find_offsets([], other) == []
 
 
 @pytest.mark.parametrize("nominal", [_NOMINAL, None])

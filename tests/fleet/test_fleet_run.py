@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
+from dataclasses import replace
 
 import pytest
 
+from multilica.checks import RigTolerances, Tolerance
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import open_store
 from multilica.fleet.store.upkeep import compact_store
-from multilica.fleet.tasks.guard import failed_row
+from multilica.fleet.tasks.guard import LogTaskLimits, failed_row
 from tests.fleet.support.counted_tasks import FLEET, Tasks, run, table, write_manifest
+from tests.fleet.support.made_store import add_log
 
 
 @pytest.fixture
@@ -70,6 +73,40 @@ def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
     assert outcome.without_result == 0
     with ask(store, FAILURES) as answer:
         assert list(answer.rows()) == []
+
+
+@pytest.mark.parametrize(
+    ("reason", "measured", "limit"), [("timeout", "elapsed_s", "time_s"), ("memory", "memory_mb", "memory_mb")]
+)
+def test_what_ended_at_a_limit_is_taken_up_at_a_larger_one(tmp_path, manifest, reason, measured, limit):
+    store, done = open_store(tmp_path / "store", create=True), []
+
+    def task(request, limits):
+        done.append(request.source)
+        row = replace(failed_row(request, reason, ""), **{measured: getattr(limits, limit)})
+        open_store(request.store, create=False).finish(row, [])
+        return row
+
+    for size, logs in ((10.0, 12), (10.0, 0), (5.0, 0), (20.0, 12)):
+        done.clear()
+        run_fleet([manifest], store, FleetOptions(limits=LogTaskLimits(**{limit: size})), run_log_task=task)
+        assert len(done) == logs, size
+
+
+def test_other_tolerances_do_all_again(tmp_path, manifest):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Tasks())
+    tolerances = RigTolerances(default=Tolerance(translation_m=0.001))
+    assert run(manifest, store, Tasks(), tolerances=tolerances)[0].skipped == 0
+
+
+def test_bytes_of_a_log_without_a_row_are_no_duplicate(tmp_path):
+    """A task that was interrupted has noted the bytes, and the log is found under another path."""
+    store = open_store(tmp_path, create=True)
+    assert store.first_with("bytes", "v1", "c", "logs/a.mcap") == "logs/a.mcap"
+    assert store.first_with("bytes", "v1", "c", "all/logs/a.mcap") == "all/logs/a.mcap"
+    add_log(store, "v1", 0, lambda *_: [], source="all/logs/a.mcap")
+    assert store.first_with("bytes", "v1", "c", "logs/a.mcap") == "all/logs/a.mcap"
 
 
 @pytest.mark.slow

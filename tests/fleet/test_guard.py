@@ -46,13 +46,14 @@ def test_a_unit_that_ends_badly_has_its_row(tmp_path, source, reason, words):
     assert words in row["reason_text"]
     assert row["calibration"] == "runs/a/reference.toml"
     assert row["attempts"] == (3 if reason == "network" else 1)
+    assert (row["memory_mb"] == LIMITS.memory_mb) is (reason == "memory")
 
 
 @pytest.mark.in_turn
 def test_a_unit_that_hangs_is_killed(tmp_path):
     run_guarded(request(tmp_path, "fine-1"), LIMITS)  # the libraries are loaded
     summary = run_guarded(request(tmp_path, "hang-1"), replace(LIMITS, time_s=0.5))
-    assert (summary.state, summary.reason) == ("failed", "timeout")
+    assert (summary.state, summary.reason, summary.elapsed_s) == ("failed", "timeout", 0.5)
 
 
 @pytest.mark.parametrize("source", ["killed-1", "offline-1"])

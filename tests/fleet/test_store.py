@@ -2,6 +2,7 @@
 import json
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import TABLES, LidarRow, LogRow
 from multilica.fleet.store.store import folder_name, open_store, vehicle_name
 from tests.fleet.support.buckets import bucket
@@ -101,6 +103,22 @@ def test_a_folder_with_other_things_is_no_store(tmp_path):
         open_store(tmp_path / "none", create=False)
     with pytest.raises(UsageError, match="s3://BUCKET/PREFIX"):
         open_store("https://example.com/store", create=True)
+
+
+def test_a_log_whose_file_grew_stands_there_once(tmp_path):
+    """While it was sent, it could not be read, and then in part."""
+    store = open_store(tmp_path, create=True)
+    begin_ns, end = 10**18, datetime(2026, 1, 1, tzinfo=UTC)
+    for number, (time_ns, state) in enumerate([(None, "failed"), (begin_ns, "calibrated"), (begin_ns, "calibrated")]):
+        key, minutes = str(number), timedelta(minutes=number)
+        log = LogRow(key, "v1", time_ns, "v1/a.mcap", f"bytes {key}", number, state, finished_at=end + minutes)
+        store.finish(log, [LidarRow(key, time_ns, log.source, "left", "top", "calibrated", "placed")])
+    for number, time_ns in enumerate((begin_ns, begin_ns + 10**9)):
+        log = LogRow(f"watch-{number}", "v1", time_ns, "ros2://", "", 0, "verified", finished_at=end)
+        store.finish(log, [LidarRow(log.key, time_ns, log.source, "left", "top", "verified", "placed")])
+    for table in ("logs", "lidars"):
+        with ask(store, f"SELECT key FROM {table} ORDER BY key") as answer:  # noqa: S608
+            assert list(answer.rows()) == [("2",), ("watch-0",), ("watch-1",)]
 
 
 def test_the_layout_is_written(tmp_path):

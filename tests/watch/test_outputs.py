@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import socket
+from dataclasses import replace
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -16,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from multilica.checks import LidarCheck, RigCheck
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
+from multilica.fleet.drift.drift import find_outages
 from multilica.fleet.store.store import open_store
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
@@ -131,6 +133,40 @@ def test_verdicts_are_rows_of_a_store(tmp_path: Path) -> None:
     np.testing.assert_allclose([rows["rear"][axis] for axis in ("x_m", "y_m", "z_m")], REAR.xyz_m)
     assert rows["rear"]["sigma_mm"] == pytest.approx(1.0)
     assert (rows["top"]["status"], rows["top"]["reason_text"], rows["top"]["x_m"]) == ("not_placed", "no overlap", None)
+
+
+def rows_of(tmp_path: Path, *observations: Observation) -> dict[str, dict[str, object]]:
+    store = open_store(tmp_path / "store", create=True)
+    for observation in observations:
+        rows_into(store, "bus-7", "ros2://")(observation)
+    return {row["lidar"]: row for row in store.dataset("lidars").to_table().to_pylist()}
+
+
+def test_poses_in_a_vehicle_frame_are_stored_relative_to_a_lidar(tmp_path: Path) -> None:
+    T_base_front = RigidTransform.from_xyz_rpy("base_link", "front", (1.0, 0.0, 2.0), (0.0, 0.1, 0.5))
+    known = Extrinsics("base_link", {"front": T_base_front, "rear": T_base_front @ REAR})
+    rows = rows_of(tmp_path, replace(verdict(), known=known))
+    assert [(name, row["target"], row["status"], row["reason"]) for name, row in sorted(rows.items())] == [
+        ("front", "front", "placed", ""), ("rear", "front", "placed", ""), ("top", "front", "not_placed", "unverified")
+    ]  # fmt: skip
+    np.testing.assert_allclose([rows["rear"][axis] for axis in ("x_m", "y_m", "z_m")], REAR.xyz_m)
+
+
+def test_lidars_that_a_watch_loses_are_found(tmp_path: Path) -> None:
+    """The target is lost, and with it the poses of the others; one of these has moved far."""
+    identity = RigidTransform.identity("rear", "rear")
+    placements = (
+        LidarPlacement("front", "no returns"),
+        LidarPlacement("rear", "root", "placed", identity),
+        LidarPlacement("top", "moved", contradicts_prior=True),
+    )
+    found = CalibrationResult("rear", "made up", placements)
+    looks = [replace(verdict(), found=found, time_ns=TIME_NS + hour * 3_600_000_000_000) for hour in range(2)]
+    rows_of(tmp_path, *looks)
+    outages = find_outages(open_store(tmp_path / "store", create=False))
+    assert [(each.lidar, each.reason, each.logs) for each in outages] == [
+        ("front", "unverified", 2), ("rear", "no_target", 2), ("top", "against_prior", 2)
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from multilica.errors import UsageError
+from multilica.errors import UsageError, listed
 from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
 from multilica.fleet.drift.dispersion import PRIOR_LOGS, calibrate_scatter, power_of, robust_scatter
@@ -226,8 +226,15 @@ def find_offsets(
 
     Raises:
         InputError: a joint of the nominal rig between a LiDAR and its target moves.
+        UsageError: the nominal poses are of no LiDAR and its target.
     """
     designed = frozenset[str]() if nominal is None else nominal.members
+    if nominal is not None and series and not any({each.lidar, each.target} <= designed for each in series):
+        names = sorted({name for each in series for name in (each.lidar, each.target)})
+        raise UsageError(
+            f"The nominal poses are of {listed(sorted(designed))}; expected two or more LiDARs of the store, one of "
+            f"them a target: {listed(names)}."
+        )
     fleets: dict[tuple[str, str], list[_Mounted]] = defaultdict(list)
     references: dict[tuple[str, str], RigidTransform] = {}
     for poses in calibrate_scatter(series):

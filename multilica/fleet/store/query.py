@@ -25,10 +25,10 @@ _READING = "arrow_scan"
 """Word in errors of the database that come from a part, and not from the question."""
 _VIEWS = """
 SET TimeZone='UTC';
-CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
-  SELECT *, row_number() OVER (PARTITION BY source, fingerprint
-                               ORDER BY state = 'failed', finished_at DESC, key) AS turn
-  FROM logs_parts) WHERE turn = 1;
+CREATE VIEW logs AS SELECT * EXCLUDE (turn, succeeded) FROM (
+  SELECT *, row_number() OVER (PARTITION BY source, time ORDER BY state = 'failed', finished_at DESC, key) AS turn,
+         bool_or(state <> 'failed') OVER (PARTITION BY source) AS succeeded
+  FROM logs_parts) WHERE turn = 1 AND NOT (state = 'failed' AND succeeded);
 CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts WHERE key IN (SELECT key FROM logs)
 """
 
@@ -52,8 +52,8 @@ def ask(
 ) -> Iterator[QueryAnswer]:
     """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
-    A log that was treated again, by another version or configuration, stands there once, by its last row. A row of
-    `lidars` is there if the row of its log is.
+    A log that was treated again stands there once, by its last row: by another version or configuration, or after the
+    file grew. A row of `lidars` is there if the row of its log is.
 
     Args:
         without: paths of parts that are left out.

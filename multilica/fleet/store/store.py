@@ -25,6 +25,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
@@ -95,13 +96,20 @@ class Store:
         self.write_part(f"logs/{_part_of(log)}", table_of([log], TABLES["logs"]))
 
     def first_with(self, sha256: str, vehicle: str, config_sha256: str, source: str) -> str:
-        """Return the first log of a vehicle that had these bytes; that is `source` if none had them before."""
+        """Return the first log of a vehicle that had these bytes; that is `source` if none had them before.
+
+        A log whose task was interrupted has no row, and was none.
+        """
         path = f"digests/{folder_name(vehicle)}/{config_sha256}-{multilica.__version__}/{sha256}"
-        try:
-            return self.read(path).decode()
-        except SourceNotFoundError:
-            self.write(path, source.encode())
-            return source
+        with suppress(SourceNotFoundError):
+            first = self.read(path).decode()
+            if first == source or self._has_log(first):
+                return first
+        self.write(path, source.encode())
+        return source
+
+    def _has_log(self, source: str) -> bool:
+        return bool(self.dataset("logs").count_rows(filter=pc.field("source") == source))
 
     def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
         """Return the path of a log's run files, relative to the store."""

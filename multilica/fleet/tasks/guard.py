@@ -52,6 +52,7 @@ class LogTask(FleetLog):
     Args:
         reference: path in the store of the vehicle's last accepted poses; empty if there are none.
         ahead: logs of the vehicle before this one are not decided; so neither is its row to be written.
+        max_memory_mb: limit of the process, for the row of a log that needs more.
     """
 
     key: str
@@ -63,6 +64,7 @@ class LogTask(FleetLog):
     reference: str
     ahead: bool = False
     attempt: int = 1
+    max_memory_mb: float = 0.0
 
     def row(self) -> LogRow:
         """Return the part of the row that is known beforehand."""
@@ -162,9 +164,14 @@ def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
         StorageError: as `_tried`.
     """
     answer: LogRow | LogTaskFailure
+    request = replace(request, max_memory_mb=limits.memory_mb)
     answer, attempt = _tried(lambda attempt: replace(request, attempt=attempt), limits.time_s, limits)
     if isinstance(answer, LogTaskFailure):
         answer = failed_row(replace(request, attempt=attempt), answer.reason, answer.text)
+        if answer.reason == "timeout":
+            answer = replace(answer, elapsed_s=limits.time_s)
+        elif answer.reason == "memory":
+            answer = replace(answer, memory_mb=limits.memory_mb)
         if not request.ahead:
             open_store(request.store, create=False).finish(answer, [])
     return answer

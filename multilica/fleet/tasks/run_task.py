@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from multiprocessing.connection import Connection
@@ -85,12 +85,12 @@ def run_log_task(request: LogTask) -> LogRow:
         _require_space(failure)
         reason = next(name for kind, name in _REASONS.items() if isinstance(failure, kind))
         row, lidars = failed_row(request, reason, str(failure)), []
-    usage = resource.getrusage(resource.RUSAGE_SELF)
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     row = replace(
         row,
         elapsed_s=time.monotonic() - start_s,
         cpu_s=_cpu_s() - start_cpu_s,
-        memory_mb=usage.ru_maxrss / 1024.0,
+        memory_mb=max(memory_mb, request.max_memory_mb) if row.reason == "memory" else memory_mb,
         finished_at=datetime.now(UTC),
     )
     if request.ahead:
@@ -130,8 +130,10 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
     if known is not None and request.calibrate == "when-needed" and names <= known.members:
         rows = _verified_rows(request, snapshots, known)
         if rows:
-            return replace(row, state="verified", placed=len(rows)), rows
-    return _calibrated(request, store, row, known, snapshots, stops)
+            row = replace(row, state="verified", placed=len(rows))
+            return row, [*rows, *_rows_without_topic(request, known.target, known, names)]
+    row, rows = _calibrated(request, store, row, known, snapshots, stops)
+    return row, [*rows, *_rows_without_topic(request, rows[0].target, known, names)]
 
 
 def _read(request: LogTask) -> tuple[LogTask, tuple[Stop, ...], tuple[Snapshot, ...]]:
@@ -154,7 +156,7 @@ def _calibrated(
     known: Extrinsics | None,
     snapshots: Sequence[Snapshot],
     stops: Sequence[Stop],
-) -> tuple[LogRow, Sequence[LidarRow]]:
+) -> tuple[LogRow, list[LidarRow]]:
     config = request.config
     if known is not None and not config.target and any(known.target in each.names for each in snapshots):
         config = config.model_copy(update={"target": known.target})
@@ -269,6 +271,15 @@ def _calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRo
             _row(request, name, document.target, "calibrated", entry.status, pose, covariance, evidence=best, **told)
         )
     return rows
+
+
+def _rows_without_topic(
+    request: LogTask, target: str, known: Extrinsics | None, names: Collection[str]
+) -> list[LidarRow]:
+    """Return a row for each LiDAR that the vehicle had before and that is not in the log."""
+    told = {"reason": "no_topic", "reason_text": "The log has no scan of it."}
+    missing = sorted(known.members - {*names}) if known else []
+    return [_row(request, name, target, "verified", "not_placed", None, None, **told) for name in missing]
 
 
 def _row(
