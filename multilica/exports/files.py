@@ -196,9 +196,9 @@ def rig_of_run(
     """Return the poses of the placed LiDARs of a run.
 
     Args:
-        base: the common frame: a LiDAR, by its name or frame id, a frame of `rig`, or, without `rig`, the base frame on the ground that
-            the run found, or another name of the target's frame; by default the common frame of `rig`, else the base
-            frame of the run if a rig file gave it x, y and yaw, else the target's.
+        base: the common frame: a LiDAR, by its name or frame id, a frame of `rig`, or, without `rig`, the base frame on
+            the ground that the run found, or another name of the target's frame; by default the common frame of `rig`,
+            else the base frame of the run if a rig file gave it x, y and yaw, else the target's.
         rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
         frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
         with_uncertain: also take the uncertain LiDARs, and a base frame that is uncertain.
