@@ -82,7 +82,7 @@ class Extrinsics:
     def covariance_between(self, target: str, source: str) -> FloatArray | None:
         """Return the (6, 6) covariance of ``T_target_source``, along the target's axes; None if it is not known.
 
-        It is the sum of those of both poses: an upper bound, as they may share errors.
+        It is the sum of those of both poses, as if they shared no errors: usually too large, at most a sixth too small.
         """
         root, pose = self._pose(target), self._pose(source)
         of_root, of_pose = self.covariance(target), self.covariance(source)

@@ -2,6 +2,7 @@
 """Test of known extrinsics against a snapshot, without a search."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
@@ -98,6 +99,7 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
+    rig = replace(rig, covariances=state.slow_motion.added_to(rig.covariances, root))
     offsets = {name: rig.poses[name].offset_from(known.between(root, name)) for name in rig.covariances}
     if offsets and are_contradicted(offsets, rig.covariances):
         # It may have been a car that moved.

@@ -7,7 +7,7 @@ import numpy as np
 
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import AcceptanceConfig
-from multilica.geometry import FloatArray
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairRegistration, PairResidual, Reason, connected
 
 # A wider sigma covers both poses up to 5 cm and 0.5 degrees by default. Cycles of real LiDARs missed by 3 cm, as their
@@ -68,15 +68,23 @@ def outlier(
 
 def is_beyond(residual: PairResidual, config: AcceptanceConfig) -> bool:
     """Return whether a pair differs by more than a wider sigma may cover."""
-    return residual.after_m > _COVERED * config.max_sigma_m or residual.after_deg > _COVERED * config.max_sigma_deg
+    return residual.apart_m > _COVERED * config.max_sigma_m or residual.apart_deg > _COVERED * config.max_sigma_deg
 
 
-def widened(covariances: Mapping[str, FloatArray], doubts: Mapping[str, PairResidual]) -> dict[str, FloatArray]:
-    """Widen the covariances (6, 6) of LiDARs in doubt by the residual, in all directions: they cover either pose."""
-    return {
-        name: covariance + _spread(doubts[name]) if name in doubts else covariance
-        for name, covariance in covariances.items()
-    }
+def widened(
+    covariances: Mapping[str, FloatArray], doubts: Mapping[str, PairResidual], poses: Mapping[str, RigidTransform]
+) -> dict[str, FloatArray]:
+    """Widen the covariances (6, 6) of LiDARs in doubt by how far the pair is off, in all directions.
+
+    They cover either pose: a turn of the pair moves what hangs on it by its lever.
+
+    Args:
+        poses: ``T_root_lidar`` of all these LiDARs.
+    """
+    found = dict(covariances)
+    for name in doubts.keys() & covariances.keys():
+        found[name] = covariances[name] + _spread(doubts[name], _lever_m(poses[name], doubts[name], poses))
+    return found
 
 
 def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason:
@@ -84,10 +92,16 @@ def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason
     probability = max(residual.probability, 1e-300)
     text = (
         f"{residual.source} against {residual.target} contradicts the other pairs of its cycle by "
-        f"{1000.0 * residual.after_m:.0f} mm, {residual.after_deg:.2f} deg (probability {probability:.0e})"
+        f"{1000.0 * residual.apart_m:.0f} mm, {residual.apart_deg:.2f} deg (probability {probability:.0e})"
     )
-    return Reason("cycle_contradicted", residual.after_m, _COVERED * config.max_sigma_m, text)
+    return Reason("cycle_contradicted", residual.apart_m, _COVERED * config.max_sigma_m, text)
 
 
-def _spread(residual: PairResidual) -> FloatArray:
-    return np.diag(np.repeat([np.deg2rad(residual.after_deg), residual.after_m], 3) ** 2)
+def _lever_m(pose: RigidTransform, residual: PairResidual, poses: Mapping[str, RigidTransform]) -> float:
+    """Return the distance of a LiDAR from the farther one of a pair."""
+    return max(float(np.linalg.norm(pose.xyz_m - poses[end].xyz_m)) for end in (residual.target, residual.source))
+
+
+def _spread(residual: PairResidual, lever_m: float) -> FloatArray:
+    off_rad = np.deg2rad(residual.apart_deg)
+    return np.diag(np.repeat([off_rad, np.hypot(residual.apart_m, off_rad * lever_m)], 3) ** 2)

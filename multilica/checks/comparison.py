@@ -291,7 +291,7 @@ def _digits(value: float) -> str:
 
 
 def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:
-    """Return the (6, 6) covariance of a pose in the frame of the root; an upper bound, as both may share errors."""
+    """Return the (6, 6) covariance of a pose in the frame of the root, as if both shared no errors."""
     both = [(each.lidar, each.T_target_source, each.covariance) for each in (root, placement)]
     poses = {name: pose for name, pose, _ in both if pose is not None}
     covariances = {name: covariance for name, _, covariance in both if covariance is not None}

@@ -363,6 +363,6 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
         if pair.contradicts:
             yield (
                 f"the pair {pair.source} against {pair.target} contradicts the others by "
-                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg, which happens to a correct pair with a "
+                f"{pair.apart_m or 0.0:.3f} m, {pair.apart_deg or 0.0:.2f} deg, which happens to a correct pair with a "
                 f"probability of {pair.probability:.1g}. One of the two LiDARs may be misplaced."
             )

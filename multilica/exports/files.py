@@ -258,10 +258,10 @@ def _frame_of_base(document: ResultDocument, base: str | None, named: Mapping[st
         named: the frame of each LiDAR that has a pose.
     """
     ids = _frame_ids(document)
-    if base == ids.get(document.target):
+    if base is None or base == ids.get(document.target):
         return base
     lidars = [base] if base in document.lidars else [name for name in document.lidars if ids.get(name) == base]
-    if base is None or not lidars:
+    if not lidars:
         return base
     if len(lidars) > 1:
         raise InputError(f"{len(lidars)} LiDARs of the run have the frame id '{base}'; give a LiDAR's name as --base.")

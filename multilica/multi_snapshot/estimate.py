@@ -88,14 +88,22 @@ def scatter_ratio(estimates: Sequence[Estimate]) -> FloatArray:
     weighted mean. The standard error of the mean times this ratio agrees with the measured scatter. Unlike the plain
     standard error it lets a snapshot with a large covariance scatter accordingly. Every other set of snapshots scatters
     more than predicted. So the ratio is 1 unless the probability of chi squared is below `LEAST_PROBABILITY`.
+
+    Poses may contradict each other in a direction between the axes, so the ratio of all six together counts as well.
     """
     freedom = len(estimates) - 1
     if freedom < 1:
         return np.ones(6)
-    offsets = _offsets(estimates)
-    weights = 1.0 / np.array([np.diag(estimate.covariance) for estimate in estimates])
+    offsets, covariances = _offsets(estimates), np.array([estimate.covariance for estimate in estimates])
+    weights = 1.0 / np.diagonal(covariances, axis1=1, axis2=2)
     mean = np.sum(weights * offsets, axis=0) / np.sum(weights, axis=0)
-    chi_squared = np.sum(weights * (offsets - mean) ** 2, axis=0)
+    of_axes = _birge(np.sum(weights * (offsets - mean) ** 2, axis=0), freedom)
+    whole = np.linalg.pinv(covariances, hermitian=True)
+    apart = offsets - np.linalg.pinv(whole.sum(axis=0), hermitian=True) @ np.einsum("nij,nj->i", whole, offsets)
+    return np.maximum(of_axes, _birge(np.einsum("ni,nij,nj", apart, whole, apart), 6 * freedom))
+
+
+def _birge(chi_squared: FloatArray, freedom: int) -> FloatArray:
     by_chance = chdtrc(freedom, chi_squared) >= LEAST_PROBABILITY
     return np.where(by_chance, 1.0, np.sqrt(chi_squared / freedom))
 

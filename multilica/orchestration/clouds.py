@@ -14,6 +14,7 @@ from multilica.snapshot import LidarScans, Snapshot
 from multilica.solvers import solver_in_use
 from multilica.stages.preprocess import preprocess
 from multilica.stages.sensor_health import examine_sensor
+from multilica.stages.slow_motion import slow_motion_of
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
 from multilica.system_libraries import missing_for_open3d
 from multilica.workers import Shared
@@ -63,6 +64,8 @@ def preprocess_clouds(state: CalibrationState) -> None:
     motions = {each.cloud.lidar: each.motion for each in cleaned}
     if refusal := explain_motion({name: motion for name, motion in motions.items() if motion}, snapshot.source):
         raise UnfitSnapshotError(refusal, code="moving_vehicle")
+    seen = {name: (motion.shift_m, motion.turn_rad) for name, motion in motions.items() if motion and motion.observable}
+    state.slow_motion = slow_motion_of(snapshot.lidars, seen)
     for each in cleaned:
         state.health.append(each.health)
         if len(each.cloud.points_m):

@@ -46,8 +46,10 @@ def refine_rig(state: CalibrationState) -> None:
     state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
     rig = doubt_movable(state, rig, used)
     state.group = Group(state.target, rig.poses)
-    state.covariances = widened(rig.covariances, doubts)
-    state.repeatability, state.refinement = rig.repeatability, rig.refinement
+    covariances = widened(rig.covariances, doubts, rig.poses)
+    state.covariances = state.slow_motion.added_to(covariances, state.target)
+    state.repeatability = state.slow_motion.added_to(rig.repeatability, state.target)
+    state.refinement = rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
 

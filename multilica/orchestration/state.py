@@ -31,6 +31,7 @@ from multilica.results import (
     VisibilityScore,
 )
 from multilica.snapshot import Snapshot
+from multilica.stages.slow_motion import SlowMotion
 from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
 from multilica.workers import Workers
@@ -60,6 +61,7 @@ class CalibrationState:
     workers: Workers = field(default_factory=Workers)
     health: list[SensorHealth] = field(default_factory=list)
     clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
+    slow_motion: SlowMotion = field(default_factory=SlowMotion)
     lidars: dict[str, PreparedLidar] = field(default_factory=dict)
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)

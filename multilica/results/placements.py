@@ -282,10 +282,12 @@ class PairResidual:
     probability: Annotated[
         float,
         Field(
-            description="Probability that a correct pair disagrees with the poses as much or more, by its covariance: "
-            "chi squared with 6 degrees of freedom."
+            description="Probability that a correct pair is as far or farther from where the others put it, by the "
+            "covariances of both: chi squared with 6 degrees of freedom. 1 if no others connect its LiDARs."
         ),
     ] = 1.0
+    apart_m: Annotated[Figure, Field(description="Distance of the pair from where the others put it.")] = 0.0
+    apart_deg: Annotated[Figure, Field(description="Angle of the pair from where the others put it.")] = 0.0
     snapshot: Annotated[str, Field(description="Snapshot of the pair; empty for a single snapshot.")] = ""
 
     @property

@@ -122,7 +122,10 @@ def refine(
             prior = None
     spreads = _spreads(used, end, config)
     told = posterior(information, gradient, end.biases, sigmas, *spreads, counts, prior, scenes=scenes)
-    residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
+    apart = _apart_from_others(used, state.views, [_weight(_squared(pair, state), config) for pair in used])
+    residuals = tuple(
+        _residual_of(pair, start, off, state, config) for pair, start, off in zip(used, before, apart, strict=True)
+    )
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
     return RefinedRig(
@@ -200,11 +203,50 @@ def trusted_pairs(
     return trusted
 
 
-def _residual_of(pair: ViewPair, start: FloatArray, state: _State, config: RefineConfig) -> PairResidual:
-    end, squared = state.views.offset(pair), _squared(pair, state)
-    probability = float(chdtrc(_POSE_FREEDOM, squared))
-    names = pair.target.lidar, pair.source.lidar
-    return PairResidual(*names, *_sizes(start), *_sizes(end), _weight(squared, config), probability=probability)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Apart:
+    """Offset (6,) of a pair from where the others put it, and its squared Mahalanobis distance; None without others."""
+
+    offset: FloatArray
+    squared: float
+
+
+def _apart_from_others(pairs: Sequence[ViewPair], views: ViewPoses, weights: Sequence[float]) -> Iterator[_Apart]:
+    """Compare each pair with the poses that the others give without it (leave one out).
+
+    In a cycle, the refinement has moved the poses towards every pair: one of n equal pairs that is off by d has a
+    residual of d / n, which says little. Against the others alone it is off by d, with the covariances of both. The
+    biases that pairs share are in the covariance of each, as if they were independent.
+
+    Args:
+        weights: of the pairs, in the refinement.
+    """
+    size = views.columns
+    total, pull = np.diag(np.resize(UNKNOWN, size) ** -2.0), np.zeros(size)
+    own = []
+    for pair, weight in zip(pairs, weights, strict=True):
+        jacobian, columns = views.jacobian(pair)
+        weighted = weight * jacobian.T @ np.asarray(pair.registration.information)
+        own.append((jacobian, columns, weighted @ jacobian, weighted @ views.offset(pair)))
+        total[np.ix_(columns, columns)] += own[-1][2]
+        pull[columns] += own[-1][3]
+    for pair, (jacobian, columns, information, gradient) in zip(pairs, own, strict=True):
+        others, right = total.copy(), np.zeros((size, 7))
+        others[np.ix_(columns, columns)] -= information
+        right[columns, 1:] = jacobian.T
+        right[:, 0] = -pull
+        right[columns, 0] += gradient
+        moved = jacobian @ np.linalg.solve(others, right)[columns]
+        offset = views.offset(pair) + moved[:, 0]
+        covariance = moved[:, 1:] + np.linalg.inv(np.asarray(pair.registration.information))
+        yield _Apart(offset, float(offset @ np.linalg.solve(covariance, offset)))
+
+
+def _residual_of(pair: ViewPair, start: FloatArray, apart: _Apart, state: _State, config: RefineConfig) -> PairResidual:
+    end, weight = state.views.offset(pair), _weight(_squared(pair, state), config)
+    probability = float(chdtrc(_POSE_FREEDOM, max(apart.squared, 0.0)))
+    sizes = *_sizes(start), *_sizes(end)
+    return PairResidual(pair.target.lidar, pair.source.lidar, *sizes, weight, probability, *_sizes(apart.offset))
 
 
 def _squared(pair: ViewPair, state: _State) -> float:

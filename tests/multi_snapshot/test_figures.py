@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, join
-from multilica.multi_snapshot.estimate import Estimate, scatter_ratio, spread_of
+from multilica.multi_snapshot.estimate import Estimate, chance_of_difference, scatter_ratio, spread_of
 from multilica.multi_snapshot.join import choose_target
 from multilica.results import CalibrationResult, LidarPlacement, PairRegistration
 
@@ -79,7 +79,8 @@ def test_the_scatter_is_chi_squared_about_the_weighted_mean():
     size = 0.1
     weights = np.outer((size * _SCALES) ** -2.0, _SIGMAS**-2.0)
     mean = (weights * _OFFSETS).sum(axis=0) / weights.sum(axis=0)
-    expected = np.sqrt((weights * (_OFFSETS - mean) ** 2).sum(axis=0) / 2.0)
+    squared = (weights * (_OFFSETS - mean) ** 2).sum(axis=0) / 2.0
+    expected = np.sqrt(np.maximum(squared, squared.mean()))
     assert scatter_ratio(_estimates(size)) == pytest.approx(expected, rel=5e-3)
     alike = [replace(each, pose=_POSE) for each in _estimates(size)]
     assert np.array_equal(scatter_ratio(alike), np.ones(6))
@@ -91,6 +92,16 @@ def test_a_scatter_that_chance_explains_widens_nothing():
     limit = 0.1 * largest / np.sqrt(chi2.isf(0.001, 2) / 2.0)
     assert np.array_equal(scatter_ratio(_estimates(1.01 * limit)), np.ones(6))
     assert scatter_ratio(_estimates(0.99 * limit)).max() == pytest.approx(np.sqrt(chi2.isf(0.001, 2) / 2.0) / 0.99)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_contradiction_in_any_direction_widens(seed):
+    rng = np.random.default_rng(seed)
+    direction = rng.standard_normal(6)
+    offset = np.sqrt(2.0 * 30.0) * _SIGMAS * direction / np.linalg.norm(direction)
+    estimates = [Estimate(_moved(each), np.diag(_SIGMAS**2)) for each in (np.zeros(6), offset)]
+    assert chance_of_difference(*estimates) < 1e-3
+    assert scatter_ratio(estimates).min() == pytest.approx(np.sqrt(30.0 / 6.0), rel=0.02)
 
 
 @pytest.mark.parametrize(

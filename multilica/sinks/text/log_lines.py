@@ -172,7 +172,7 @@ def _refined(refinement: results.Refinement) -> tuple[LogLine, ...]:
             f"{before.deg:.3f} deg before, {after.m * 1e3:.1f} mm, {after.deg:.3f} deg after"
         ),
         *(
-            LogLine("WARN", f"{pair_label(pair.target, pair.source)} does not fit the others: {pair.after_m:.3f} m off")
+            LogLine("WARN", f"{pair_label(pair.target, pair.source)} does not fit the others: {pair.apart_m:.3f} m off")
             for pair in outliers
         ),
     )

@@ -54,8 +54,8 @@ def _pairs(*off, by_m=0.0, names="abcd"):
     return pairs
 
 
-def _residual(target, source, probability, after_m=0.01):
-    return PairResidual(target, source, 0.0, 0.0, after_m, 0.01, 1.0, probability)
+def _residual(target, source, probability, apart_m=0.01):
+    return PairResidual(target, source, 0.0, 0.0, 0.0, 0.0, 1.0, probability, apart_m, 0.01)
 
 
 def test_pairs_that_agree_leave_no_lidar_in_doubt():
@@ -150,8 +150,8 @@ def test_a_small_contradiction_widens_sigma_to_cover_both(by_m, status):
     for name in state.doubts:
         assert found[name].status == status
         assert "sigma covers that c against b contradicts" in found[name].reason
-        residual_m = max(each.after_m for each in state.refinement.pairs)
-        expected = np.hypot(sound[name].sigma_xyz_m, residual_m)
+        apart_m = max(each.apart_m for each in state.refinement.pairs)
+        expected = np.hypot(sound[name].sigma_xyz_m, apart_m)
         np.testing.assert_allclose(found[name].sigma_xyz_m, expected, rtol=0.1)
     assert {"b", "c"} <= state.doubts.keys()
 
@@ -171,4 +171,4 @@ def test_lidars_behind_a_cycle_are_in_doubt_and_others_not():
 
 
 def test_a_probable_residual_doubts_nothing():
-    assert doubted_lidars("a", _pairs(), [_residual("b", "c", 0.002, after_m=1.0)]) == {}
+    assert doubted_lidars("a", _pairs(), [_residual("b", "c", 0.002, apart_m=1.0)]) == {}
