@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cycles of accepted pairs that do not close within their covariances."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from multilica.results import PairRegistration, PairResidual, Reason, connected
 # A wider sigma covers both poses up to 5 cm and 0.5 degrees by default. Cycles of real LiDARs missed by 3 cm, as their
 # errors are more than those that the covariances know; objects that moved between the scans make cycles miss by more.
 _COVERED = 2.5
+# Pairs of a single cycle differ in their probability by the robust weights only.
+_AS_PROBABLE = 10.0
 
 
 def doubted_lidars(
@@ -43,6 +45,13 @@ def doubted_lidars(
     return found
 
 
+def most_contradicting(residuals: Iterable[PairResidual]) -> PairResidual:
+    """Return the least probable pair; of pairs of a single cycle, which are as probable, that with the least weight."""
+    found = [*residuals]
+    least = min(each.probability for each in found)
+    return min((each for each in found if each.probability <= _AS_PROBABLE * least), key=lambda each: each.weight)
+
+
 def outlier(
     pairs: Sequence[PairRegistration],
     residuals: Sequence[PairResidual],
@@ -57,7 +66,7 @@ def outlier(
     Returns:
         The residual of that pair; None if nothing tells which pair is wrong.
     """
-    worst = min(residuals, key=lambda each: each.probability)
+    worst = most_contradicting(residuals)
     ends = {worst.target, worst.source}
     others = [pair for pair in pairs if pair.lidars != ends]
     spared = [[pair for pair in others if pair is not one] for one in others]

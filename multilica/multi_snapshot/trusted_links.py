@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from types import MappingProxyType
 
+from multilica.acceptance.consistency import most_contradicting
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
@@ -167,7 +168,7 @@ def refine_linked(
             config,
             replace(linked, links=[_as_certain_as_told(link, followed) for link in linked.links]),
         )
-        doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
+        doubtful = [residual for residual in rig.links if residual.contradicts]
         if not doubtful:
             against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
             if against is None:
@@ -179,7 +180,7 @@ def refine_linked(
                 within = _without(within, against)
             contradicted.append(against)
             continue
-        worst = linked.links[min(doubtful)[1]]
+        worst = linked.links[rig.links.index(most_contradicting(doubtful))]
         refused[worst] = _CONTRADICTED
         left = [link for link in left if link is not worst]
     apart = [link for link in left if link not in linked.links]

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.consistency import doubted_lidars, outlier
+from multilica.acceptance.consistency import doubted_lidars, most_contradicting, outlier
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.orchestration import refinement
@@ -78,6 +78,15 @@ def test_two_wrong_pairs_tell_nothing():
     made = zip(_pairs("bc", by_m=0.3), _pairs("bd", by_m=-0.4), strict=True)
     result = result_of(_calibrated([other if one.lidars == {"b", "d"} else one for one, other in made], frames=2))
     assert not result["b"].placed
+
+
+def test_of_pairs_that_are_as_improbable_the_loosest_contradicts_most():
+    tight, loose, far = (
+        replace(_residual("a", "b", probability), weight=weight)
+        for probability, weight in ((1.0e-9, 0.9), (1.1e-9, 0.2), (1e-5, 0.1))
+    )
+    assert most_contradicting([tight, loose, far]) is loose
+    assert most_contradicting([far]) is far
 
 
 @pytest.mark.parametrize(("of_others", "found"), [(0.9, True), (1e-9, False)])
