@@ -15,6 +15,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.creep import Creep
 from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
+from multilica.registration.sensor_biases import upward_axis
 from multilica.results import GicpStep, PairRegistration
 
 # Growth of the voxels until the cloud is small enough: a step removes about a third of the points.
@@ -81,6 +82,11 @@ class GicpCloud:
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.points_m))
         cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(self.neighbours))
         return cloud
+
+    @cached_property
+    def upward_axis(self) -> int:
+        """The axis of the frame from which the LiDAR's elevations are counted."""
+        return upward_axis(self.points_m)
 
     @cached_property
     def is_sparse(self) -> bool:

@@ -8,10 +8,13 @@ from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     posterior,
     prior_sigmas,
+    ring_numbers,
     shifts_per_bias,
     shifts_per_ring_bias,
     slopes_per_bias,
+    upward_axis,
 )
+from multilica.simulate import simulate_snapshot
 
 _SIGMAS = np.array([0.02, 3e-4, 2e-4, 3e-4])
 
@@ -51,6 +54,37 @@ def test_slopes_are_the_shifts_along_the_normals():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     expected = np.einsum("ij,kij->ik", normals, shifts_per_bias(points_m, normals))
     np.testing.assert_allclose(slopes_per_bias(points_m, normals), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_elevations_may_count_from_any_axis(axis):
+    """As if the frame was turned so that the axis becomes z."""
+    rng = np.random.default_rng(2)
+    points_m, normals = rng.normal(scale=20.0, size=(50, 3)), rng.normal(size=(50, 3))
+    order = [(axis + 1) % 3, (axis + 2) % 3, axis]
+    turned, turned_normals = points_m[:, order], normals[:, order]
+    for found, expected in (
+        (shifts_per_bias(points_m, normals, axis), shifts_per_bias(turned, turned_normals)),
+        (shifts_per_ring_bias(points_m, axis), shifts_per_ring_bias(turned)),
+    ):
+        np.testing.assert_allclose(found[..., order], expected, atol=1e-12)
+    np.testing.assert_allclose(
+        slopes_per_bias(points_m, normals, axis), slopes_per_bias(turned, turned_normals), atol=1e-12
+    )
+    assert np.array_equal(ring_numbers(points_m, axis), ring_numbers(turned))
+
+
+@pytest.mark.parametrize("rig", ["corners", "edgar", "helipr", "narrow4", "ring6"])
+def test_the_upward_axis_is_found(rig):
+    """Of rings, rasters and rosettes; all but the last are told from the way ahead if the driver gives z forward."""
+    for lidar in simulate_snapshot(rig, "street", 1, frames=1).snapshot.lidars:
+        points_m = lidar.points_m.astype(np.float64)
+        assert upward_axis(points_m) == 2, lidar.name
+        if lidar.name != "livox":
+            x_up = points_m[:, [2, 1, 0]] * [1.0, -1.0, 1.0]
+            assert upward_axis(x_up) == 0, lidar.name
+            assert upward_axis(x_up[:, [1, 2, 0]]) == 2, lidar.name
+    assert upward_axis(np.empty((0, 3))) == 2
 
 
 def test_shifts_of_points_on_the_axis_are_finite():
