@@ -236,6 +236,12 @@ def test_a_broken_file_does_not_cost_the_others(tmp_path: Path) -> None:
         read_snapshot(tmp_path)
 
 
+def test_a_table_with_a_column_per_point_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "front.npy", np.ones((3, 5000), np.float32))
+    with pytest.raises(UnreadableSourceError, match="holds 3 x 5000 numbers; expected a row per point: transpose it"):
+        read_snapshot(tmp_path)
+
+
 def test_files_whose_names_are_no_utf8(tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"\xfc")
     folder.mkdir()

@@ -25,6 +25,10 @@ _PLAUSIBLE_SHARE = 0.9
 """Share of numbers in this range among coordinates; of random bytes, seven in eight are outside."""
 
 
+_MOST_COLUMNS = 64
+"""Columns of a row per point; more are points of a table that was not transposed."""
+
+
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode rows of x, y, z in metres and, if there are any, intensity and ring."""
     data = memoryview(message.data)
@@ -71,6 +75,10 @@ def _columns(table: Table, count: int) -> dict[str, Table]:
         if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
             found = f"{' x '.join(map(str, table.shape)) or 'a single'} values of {table.dtype}"
             raise ValueError(f"holds {found}; expected N x 3 numbers or more")
+        if table.shape[0] <= 4 and table.shape[1] > _MOST_COLUMNS:
+            raise ValueError(
+                f"holds {table.shape[0]} x {table.shape[1]} numbers; expected a row per point: transpose it"
+            )
         return dict(zip(_NAMES, table.T[:count], strict=False))
     given = [name for name in table.dtype.names if name != "ring" or table.dtype[name].kind in "fiu"]
     named = [name for name in _NAMES if name in given]
