@@ -239,7 +239,7 @@ def result_of(state: CalibrationState) -> CalibrationResult:
         ground_refusal=state.ground_refusal,
         time_limit=state.time_limit,
         trusted=tuple(
-            state.fixed_pairs.get((pair.target, pair.source), pair)
+            state.slow_motion.added_to_pair(state.fixed_pairs.get((pair.target, pair.source), pair))
             for pair in trusted_pairs(state.registrations.values(), state.merges)
         ),
         timing_s=dict(state.timing_s),

@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from multilica.geometry import FloatArray
+from multilica.registration.widening import widened_everywhere
+from multilica.results import PairRegistration
 from multilica.snapshot import LidarScans, Scan
 
 _NS_PER_S = 1e9
+# A quarter of the smallest sigma adds 3 % to it; the covariance with the biases of all rings takes time to change.
+_LITTLE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +37,29 @@ class SlowMotion:
         The cloud of a LiDAR lies where the vehicle was at the mean time of its frames. The direction of the motion
         counts as unknown.
         """
-        if not {target, lidar} <= self.times_s.keys():
-            return np.zeros((6, 6))
-        # Clocks may differ by more than the frames.
-        apart_s = min(abs(self.times_s[target] - self.times_s[lidar]), self.span_s)
-        return np.diag(np.repeat([self.turn_rad_s * apart_s, self.speed_m_s * apart_s], 3) ** 2)
+        return np.diag(np.repeat(self._between(target, lidar), 3) ** 2)
 
     def added_to(self, covariances: Mapping[str, FloatArray], target: str) -> dict[str, FloatArray]:
         """Return covariances (6, 6) of poses relative to a target with what the motion adds to each."""
         return {name: known + self.covariance(target, name) for name, known in covariances.items()}
+
+    def added_to_pair(self, pair: PairRegistration) -> PairRegistration:
+        """Return a registration with what the motion adds to its covariance, unless that is little."""
+        if pair.information is None:
+            return pair
+        off_rad, off_m = self._between(pair.target, pair.source)
+        covariance = np.linalg.inv(pair.information)
+        least_rad, least_m = (np.linalg.eigvalsh(each)[0] ** 0.5 for each in (covariance[:3, :3], covariance[3:, 3:]))
+        is_little = off_rad < _LITTLE * least_rad and off_m < _LITTLE * least_m
+        return pair if is_little else widened_everywhere(pair, off_rad, off_m)
+
+    def _between(self, target: str, lidar: str) -> tuple[float, float]:
+        """Return turn (rad) and shift (m) between the mean times of two LiDARs."""
+        if not {target, lidar} <= self.times_s.keys():
+            return 0.0, 0.0
+        # Clocks may differ by more than the frames.
+        apart_s = min(abs(self.times_s[target] - self.times_s[lidar]), self.span_s)
+        return self.turn_rad_s * apart_s, self.speed_m_s * apart_s
 
 
 def slow_motion_of(lidars: Sequence[LidarScans], motions: Mapping[str, tuple[float, float]]) -> SlowMotion:

@@ -8,9 +8,11 @@ import pytest
 
 from multilica.config import CalibrationConfig
 from multilica.pipeline import calibrate
+from multilica.results import BiasInformation
 from multilica.simulate import simulate_snapshot, simulation
 from multilica.snapshot import LidarScans, Scan
 from multilica.stages.slow_motion import SlowMotion, slow_motion_of
+from tests.unit.acceptance.made_rig import linked
 
 _BEGIN_NS = 10**18
 _EMPTY = np.zeros((0, 3), np.float32)
@@ -31,6 +33,25 @@ def test_the_way_between_the_mean_times_is_added(logged):
     np.testing.assert_allclose(found.covariance("b", "a"), covariance)
     np.testing.assert_allclose(found.covariance("a", "c"), 0.0, atol=1e-30)
     np.testing.assert_allclose(found.added_to({"b": np.eye(6)}, "a")["b"], np.eye(6) + covariance)
+
+
+def test_it_is_in_the_covariance_of_pairs_for_joint_results():
+    """With biases, marginalised, and without; the biases themselves are known as well as before."""
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((14, 20))
+    joint = root @ root.T * 1e4
+    found = BiasInformation(joint, rng.standard_normal(14), joint, 0.5 * joint, np.zeros(8))
+    pair = replace(linked("a", "b"), information=np.linalg.inv(np.linalg.inv(joint)[:6, :6]), bias_information=found)
+    slow = SlowMotion(0.1, 0.02, {"a": 0.0, "b": 0.2}, 1.0)
+    after = slow.added_to_pair(pair)
+    added = np.diag(np.repeat([0.004, 0.02], 3) ** 2)
+    np.testing.assert_allclose(np.linalg.inv(after.information), np.linalg.inv(pair.information) + added, rtol=1e-6)
+    covariance = np.linalg.inv(joint)
+    covariance[:6, :6] += added
+    np.testing.assert_allclose(np.linalg.inv(after.bias_information.information), covariance, atol=1e-9)
+    np.testing.assert_allclose(after.bias_information.spread, after.bias_information.information, rtol=1e-6)
+    assert SlowMotion().added_to_pair(pair) is pair
+    assert SlowMotion(1e-5, 1e-6, slow.times_s, 1.0).added_to_pair(pair) is pair
 
 
 def test_most_lidars_tell_the_speed():
