@@ -173,6 +173,8 @@ def _outlines(
     lowest_m, highest_m = np.full(count, np.inf), np.zeros(count)
     np.minimum.at(lowest_m, object_of, above_m)
     np.maximum.at(highest_m, object_of, above_m)
+    # Where nobody sees the road beside a car on a bridge, its ground may be what is below.
+    highest_m = np.minimum(highest_m, lowest_m + _extent(points_m[:, 2], object_of, count))
     longest_m = np.where(highest_m > _LORRY_HEIGHT_M, _LORRY_LENGTH_M, _CAR_LENGTH_M)
     post = (np.maximum(length_m, width_m) < _POST_WIDTH_M) & (highest_m - lowest_m > _POST_HEIGHT_M)
     row = (width_m < _WIDTH_M) & (highest_m < _HEIGHT_M) & (lowest_m < _CLEARANCE_M) & ~post

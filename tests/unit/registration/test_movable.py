@@ -69,6 +69,14 @@ def test_the_edge_of_a_bridge_does_not_tie_a_car_to_its_railing():
     assert cells.contain(railing_m).sum() == 0
 
 
+def test_a_car_above_land_is_movable():
+    """Nobody sees the road of a bridge about a part of the car: the land below shows through."""
+    hidden = (np.abs(_GROUND[:, 0] - 14.0) < 4.0) & (np.abs(_GROUND[:, 1] - 4.0) < 5.0)
+    land_m = _box((10.0, -2.0, -15.0), (18.0, 10.0, -15.0))
+    cells = find_movable(np.concatenate([_GROUND[~hidden], land_m, _CAR]), _LIDARS_M, _LEVEL)
+    assert cells.contain(_CAR).mean() > 0.9
+
+
 def test_what_touches_a_wall_belongs_to_it():
     assert _share(_CAR, _box((-20.0, 5.0, 0.0), (20.0, 5.2, 4.0))) == 0.0
 
