@@ -33,6 +33,7 @@ _TIME = "time"
 _TIME_NAMES = ("t", _TIME, "timestamp", "time_stamp", "offset_time")
 """Names of drivers for the time of a point: nanoseconds as whole numbers, else seconds, or nanoseconds as well."""
 _LONGEST_FRAME_NS = 1_000_000_000
+_SHORTEST_FRAME_NS = 1_000_000
 _UINT16, _UINT32, _FLOAT32 = 4, 6, 7
 
 
@@ -123,7 +124,7 @@ def point_dtype(
 def read_fields(fields: tuple[PointField, ...], point_step: int, *, timed: bool = False) -> dict[str, PointField]:
     """Return x, y, z and, if there are any, intensity, ring and, if wanted, time, by these names.
 
-    A ring or a time that cannot be read counts as missing. Other errors are those of `point_dtype`.
+    Any of these but a coordinate counts as missing if it cannot be read. Other errors are those of `point_dtype`.
     """
     found = {field.name: field for field in reversed(fields)}
     missing = [name for name in _COORDINATES if name not in found]
@@ -132,8 +133,9 @@ def read_fields(fields: tuple[PointField, ...], point_step: int, *, timed: bool 
         raise ValueError(f"has no field {' or '.join(missing)}; its fields are: {listed}")
     if len({found[name].offset for name in _COORDINATES}) < len(_COORDINATES):
         raise ValueError("has two coordinates at the same bytes of each point")
-    chosen = {name: found[name] for name in (*_COORDINATES, _INTENSITY) if name in found}
-    for key, names in ((_RING, _RING_NAMES), *([(_TIME, _TIME_NAMES)] if timed else [])):
+    chosen = {name: found[name] for name in _COORDINATES}
+    of_names = {_INTENSITY: (_INTENSITY,), _RING: _RING_NAMES, **({_TIME: _TIME_NAMES} if timed else {})}
+    for key, names in of_names.items():
         known = [found[name] for name in names if name in found and _is_inside(found[name], point_step)]
         chosen |= dict(zip((key,), known, strict=False))
     return chosen
@@ -212,13 +214,16 @@ def finite_points(
 
 
 def _since_first_ns(times: Column) -> Uint32Array | None:
-    """Return nanoseconds after the earliest time (N,); None if they differ by more than a frame lasts."""
+    """Return nanoseconds after the earliest time (N,); None if they differ by more, or less, than a frame lasts.
+
+    A field may be there without times, or in another unit.
+    """
     if not len(times) or not np.isfinite(times).all():
         return None
     since = times - times.min() if times.dtype.kind == "f" else times.astype(np.int64) - int(times.min())
     if times.dtype.kind == "f" and since.max() <= 1.0:
         since = since * np.float64(_LONGEST_FRAME_NS)
-    return since.astype(np.uint32) if since.max() <= _LONGEST_FRAME_NS else None
+    return since.astype(np.uint32) if _SHORTEST_FRAME_NS <= since.max() <= _LONGEST_FRAME_NS else None
 
 
 def _whole(numbers: Column) -> Uint16Array | None:

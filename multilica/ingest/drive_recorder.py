@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _PAUSE_S = 0.5
 _ENOUGH_TURN_DEG = 60.0
+_BETWEEN_NS = 10**9
+"""Log time between stops whose own times overlap."""
 _DRIVE_ON = f"drive on by {NEW_PLACE_M:g} m or more, and turn by {_ENOUGH_TURN_DEG:g} degrees or more"
 
 
@@ -130,7 +132,11 @@ def record_stops(
 
 
 def join_stops(stops: Sequence[Snapshot]) -> tuple[Snapshot, tuple[Span, ...]]:
-    """Return the frames of all stops as one snapshot, and the log times between which each of them lasts."""
+    """Return the frames of all stops as one snapshot, and the log times between which each of them lasts.
+
+    Stops whose times overlap, as of point files without any, come one after the other.
+    """
+    stops = _one_after_the_other(stops)
     names = dict.fromkeys(name for stop in stops for name in stop.names)
     of_name = {lidar.name: lidar for stop in reversed(stops) for lidar in stop.lidars}
     lidars = tuple(
@@ -139,6 +145,33 @@ def join_stops(stops: Sequence[Snapshot]) -> tuple[Snapshot, tuple[Span, ...]]:
     )
     notes = tuple(dict.fromkeys(note for stop in stops for note in stop.notes))
     return replace(stops[0], lidars=lidars, notes=notes), tuple(_span_ns(stop) for stop in stops)
+
+
+def _one_after_the_other(stops: Sequence[Snapshot]) -> list[Snapshot]:
+    found: list[Snapshot] = []
+    for stop in stops:
+        begin_ns, end_ns = _span_ns(stop)
+        spans = [_span_ns(other) for other in found]
+        overlaps = any(begin_ns <= last_ns and first_ns <= end_ns for first_ns, last_ns in spans)
+        shift_ns = max(last_ns for _, last_ns in spans) + _BETWEEN_NS - begin_ns if overlaps else 0
+        found.append(_later(stop, shift_ns))
+    return found
+
+
+def _later(stop: Snapshot, by_ns: int) -> Snapshot:
+    """Return a stop with later log times, and with the same stamps."""
+    return replace(
+        stop,
+        lidars=tuple(
+            replace(
+                lidar,
+                scans=tuple(
+                    replace(scan, log_time_ns=(scan.log_time_ns or scan.stamp_ns) + by_ns) for scan in lidar.scans
+                ),
+            )
+            for lidar in stop.lidars
+        ),
+    )
 
 
 def _span_ns(stop: Snapshot) -> Span:

@@ -173,7 +173,7 @@ def _outlines(
     lowest_m, highest_m = np.full(count, np.inf), np.zeros(count)
     np.minimum.at(lowest_m, object_of, above_m)
     np.maximum.at(highest_m, object_of, above_m)
-    # Where nobody sees the road beside a car on a bridge, its ground may be what is below.
+    # The ground of a car on a bridge may be what is below, where nobody sees the road beside it.
     highest_m = np.minimum(highest_m, lowest_m + _extent(points_m[:, 2], object_of, count))
     longest_m = np.where(highest_m > _LORRY_HEIGHT_M, _LORRY_LENGTH_M, _CAR_LENGTH_M)
     post = (np.maximum(length_m, width_m) < _POST_WIDTH_M) & (highest_m - lowest_m > _POST_HEIGHT_M)

@@ -7,6 +7,7 @@ import gc
 import sqlite3
 import struct
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ from mcap.writer import CompressionType, Writer
 from multilica.config import IngestConfig
 from multilica.errors import MultilicaError
 from multilica.ingest import read_snapshot
+from multilica.ingest.locate import find_source
 from multilica.ingest.memory import MemoryBudget, MemoryLimitError, limited_memory, memory_budget
+from multilica.ingest.opening import open_source
 from tests.ingest.support.confined import read_confined
 from tests.ingest.support.format_writers import write_raw_mcap
 from tests.ingest.support.mutations import write_seed
@@ -201,6 +204,17 @@ def test_each_ingest_has_a_budget_of_its_own() -> None:
         limited_memory(1.0, "a.mcap"),
     ):
         np.empty(1 << 60, np.uint8)
+
+
+def test_messages_that_nobody_waits_for_take_none(tmp_path: Path) -> None:
+    """A reader that stops early leaves the rest of a chunk."""
+    write_mcap(make_snapshot(frames=5), tmp_path / "a.mcap", chunk_size=1 << 20)
+    with limited_memory(5.0, "a.mcap") as budget, closing(open_source(find_source(tmp_path / "a.mcap"))) as recording:
+        before = budget.taken_bytes
+        for _ in range(20):
+            with closing(recording.messages([topic.name for topic in recording.topics])) as messages:
+                next(messages)
+        assert budget.taken_bytes == before
 
 
 HOLE_BYTES = 8 << 30

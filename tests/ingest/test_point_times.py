@@ -13,7 +13,7 @@ from multilica.ingest.locate import find_source
 from multilica.ingest.message_types import decode_cloud
 from multilica.ingest.opening import open_source
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points, encode_points
-from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
+from tests.ingest.support.format_writers import LIVOX_POINT_NS, livox_messages, write_raw_mcap
 from tests.ingest.support.recording_writers import make_snapshot
 
 _XYZ = tuple(PointField(name, 4 * at, 7) for at, name in enumerate("xyz"))
@@ -46,7 +46,11 @@ def test_times_begin_with_the_earliest_point(name, datatype, code, times):
     assert _decoded(name, datatype, code, times, timed=False).times_ns is None
 
 
-@pytest.mark.parametrize("times", [np.array([0.0, np.nan]), np.array([0.0, 2e9])])
+@pytest.mark.parametrize(
+    "times",
+    [np.array([0.0, np.nan]), np.array([0.0, 2e9]), np.zeros(2), np.array([0.0, 1.2]), np.array([0.0, 1e5])],
+    ids=["NaN", "too long", "none", "1.2 s", "microseconds"],
+)
 def test_times_that_are_none_of_a_frame_are_left_out(times):
     found = _decoded("timestamp", 8, "<f8", times)
     assert found.times_ns is None
@@ -64,5 +68,5 @@ def test_times_of_livox_are_read_if_wanted(tmp_path: Path):
     message = next(recording.messages({topic.name for topic in recording.topics}))
     assert decode_cloud(message).scan.times_ns is None
     timed = decode_cloud(replace(message, timed=True)).scan
-    np.testing.assert_array_equal(timed.times_ns, np.arange(len(timed.points_m)))
+    np.testing.assert_array_equal(timed.times_ns, LIVOX_POINT_NS * np.arange(len(timed.points_m)))
     recording.close()

@@ -158,6 +158,15 @@ def test_contradictions_are_named(cloud: PointCloud2, sentence: str) -> None:
         decode_points(cloud)
 
 
+@pytest.mark.parametrize("datatype", [0, 8])
+def test_an_intensity_that_cannot_be_read_is_left_out(datatype: int) -> None:
+    """Its type is unknown, or it does not lie within the point."""
+    cloud = PointCloud2((*XYZ, PointField("intensity", 12, datatype)), 1, 1, 16, 16, b"\0" * 16)
+    found = decode_points(cloud)
+    assert found.intensity is None
+    assert len(found.points_m) == 1
+
+
 def test_the_points_are_read_from_the_data_without_a_copy_of_it() -> None:
     backing = np.zeros(12, np.uint8)
     cloud = PointCloud2(XYZ, 1, 1, 12, 12, memoryview(backing))

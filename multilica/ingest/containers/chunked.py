@@ -194,7 +194,7 @@ class ChunkedRecording(Recording):
         for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
             if chunk.end_ns <= last_ns:
                 break
-            for message in self._messages_of(chunk, *self._records_of(chunk), topics):
+            for message in self._messages_of(chunk, *self._records_of(chunk), topics, 0):
                 last_ns = max(last_ns, message.log_time_ns)
         return first.log_time_ns, last_ns
 
@@ -206,18 +206,21 @@ class ChunkedRecording(Recording):
         waiting_bytes = 0
         number = count()
         memory = memory_budget()
-        for chunk, next_start_ns in zip(chunks, starts, strict=False):
-            records, fault = self._records_of(chunk)
-            waiting_bytes += len(records)
-            for message in self._messages_of(chunk, records, fault, topics):
-                if message.log_time_ns >= start_ns:
-                    memory.take(_WAITING_MESSAGE_BYTES)
-                    heapq.heappush(waiting, (message.log_time_ns, next(number), message))
-            crowded = waiting_bytes > _MAX_WAITING_BYTES
-            while waiting and (crowded or waiting[0][0] <= next_start_ns):
-                memory.give(_WAITING_MESSAGE_BYTES)
-                yield heapq.heappop(waiting)[2]
-            waiting_bytes *= bool(waiting)
+        try:
+            for chunk, next_start_ns in zip(chunks, starts, strict=False):
+                records, fault = self._records_of(chunk)
+                waiting_bytes += len(records)
+                for message in self._messages_of(chunk, records, fault, topics, start_ns):
+                    if message.log_time_ns >= start_ns:
+                        memory.take(_WAITING_MESSAGE_BYTES)
+                        heapq.heappush(waiting, (message.log_time_ns, next(number), message))
+                crowded = waiting_bytes > _MAX_WAITING_BYTES
+                while waiting and (crowded or waiting[0][0] <= next_start_ns):
+                    memory.give(_WAITING_MESSAGE_BYTES)
+                    yield heapq.heappop(waiting)[2]
+                waiting_bytes *= bool(waiting)
+        finally:  # a reader may stop early
+            memory.give(_WAITING_MESSAGE_BYTES * len(waiting))
 
     def close(self) -> None:
         """Close the file."""
@@ -240,9 +243,12 @@ class ChunkedRecording(Recording):
             return memoryview(b""), error.reason
 
     def _messages_of(
-        self, chunk: ChunkPlace, records: memoryview, fault: str, topics: Collection[str]
+        self, chunk: ChunkPlace, records: memoryview, fault: str, topics: Collection[str], start_ns: int
     ) -> Iterator[RawMessage]:
-        """Yield the readable messages, then one with a fault on each topic that may have lost some."""
+        """Yield the readable messages, then one with a fault on each topic that may have lost some.
+
+        Its time is not before the start, so that damage of a chunk that begins earlier is told.
+        """
         try:
             with damage_named(self.where):
                 yield from self.split(records, topics)
@@ -251,7 +257,7 @@ class ChunkedRecording(Recording):
         for topic in self.topics if fault else ():
             if topic.name in topics and (chunk.topics is None or topic.name in chunk.topics):
                 lost = f"lies where the file is damaged: {fault}"
-                yield topic.message(chunk.start_ns, b"", self.where, fault=lost)
+                yield topic.message(max(chunk.start_ns, start_ns), b"", self.where, fault=lost)
 
 
 @dataclass(slots=True)

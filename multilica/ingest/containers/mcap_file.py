@@ -70,11 +70,11 @@ def open_file(path: SourceFile, where: str) -> Recording:
     """Open an MCAP file by its index; without a valid index, read it from front to end."""
     stream = ExactReader(path)
     summary = _summary(stream)
-    if summary is None or summary.statistics is None or not summary.chunk_indexes:
+    if summary is None or not _is_complete(summary):
         stream.close()
         return open_unindexed(path_on_disk(path, "an MCAP file without index"), where)
     topics = {number: _topic_of(channel, summary.schemas) for number, channel in summary.channels.items()}
-    counts = summary.statistics.channel_message_counts
+    counts = summary.statistics.channel_message_counts if summary.statistics else {}
     return ChunkedRecording(
         "MCAP",
         where,
@@ -99,6 +99,24 @@ def _summary(stream: ExactReader) -> Summary | None:
             require_checksum(covered, footer.summary_crc)
         return summary
     return None
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Return whether the index tells all messages: channels, schemas and counts may be left out, or chunks not used."""
+    statistics = summary.statistics
+    if statistics is None or not summary.chunk_indexes:
+        return False
+    counts = statistics.channel_message_counts
+    in_chunks = [index.message_index_offsets.keys() for index in summary.chunk_indexes]
+    named = {number for number, messages in counts.items() if messages}.union(*in_chunks)
+    schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
+    outside = named.difference(*in_chunks) if all(in_chunks) else ()
+    return (
+        sum(counts.values()) == statistics.message_count
+        and named <= summary.channels.keys()
+        and schemas <= summary.schemas.keys()
+        and not outside
+    )
 
 
 def _place(index: ChunkIndex, topics: Mapping[int, Topic]) -> ChunkPlace:

@@ -79,7 +79,8 @@ class LiveRecording(Recording):
         limit_s = self._end_s
         if all(topic.endswith(_STATIC_SUFFIX) for topic in topics):
             limit_s = self._static_end_s
-        while (left_s := limit_s - time.monotonic()) > 0.0:
+        # The time is over at once if the connection is lost for good.
+        while (left_s := min(limit_s, self._end_s) - time.monotonic()) > 0.0:
             message = self._next(left_s)
             if message is not None and message.topic in topics:
                 yield message

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
@@ -30,8 +30,9 @@ _MIN_STANDSTILL_NS = 10**9
 
 _Samples: TypeAlias = Sequence[tuple[int, bool | None]]
 """Log times in nanoseconds, and whether the vehicle stands still; None if unknown."""
-_Evidence: TypeAlias = tuple[str, _Samples] | None
-"""Name and samples; None if the recording has no such topic."""
+_Evidence: TypeAlias = tuple[str, _Samples, int] | None
+"""Name, samples, and the longest time between two of them, in nanoseconds, for which they tell; None if the recording
+has no such topic."""
 
 _Look: TypeAlias = Callable[[Recording, Span, ProgressObserver], _Evidence]
 
@@ -45,6 +46,7 @@ _MAX_SHAKE_MPS2 = 0.3
 _MIN_SHAKE_MPS2 = 0.05
 _SHAKE_RATIO = 2.5
 """An idling engine shakes the body by 0.1 m/s2, a smooth road by more than 0.3."""
+_G_MPS2, _MOST_G = 9.81, 2.0
 _BESIDE_NS = 3 * 10**9
 """By which the times before and after a sample of standstill that stands alone are looked at, too."""
 _MOST_LONE = 8
@@ -83,33 +85,47 @@ def find_standstills(recording: Recording, span: Span, observe: ProgressObserver
     Args:
         observe: called with each sample; from the beginning again if other messages are looked at.
     """
-    # The most direct evidence first.
-    look, (name, samples) = next(
+    # The most direct evidence first, if it tells of the whole span.
+    look, (name, samples, gap_ns) = next(
         (look, found)
         for look in (_by_odometry, _by_imu, _by_clouds)
-        if (found := look(recording, span, observe)) is not None
+        if (found := look(recording, span, observe)) is not None and (look is _by_clouds or _covers(*found[1:], span))
     )
-    if (samples and all(still for _, still in samples)) or (not samples and has_single_frames(recording)):
+    is_whole = all(still for _, still in samples) and _covers(samples, gap_ns, span)
+    if is_whole or (not samples and has_single_frames(recording)):
         return Standstills(name, (span,), is_known=bool(samples), is_whole=True)
-    runs = list(_runs(samples))
+    runs = list(_runs(samples, gap_ns))
     lone = [run for run in runs if run[1] - run[0] < _MIN_STANDSTILL_NS][:_MOST_LONE]
     runs += [found for run in lone for found in _around(recording, look, run, span)]
     kept = sorted({run for run in runs if run[1] - run[0] >= _MIN_STANDSTILL_NS})
     return Standstills(name, tuple(kept), is_known=any(still is not None for _, still in samples))
 
 
-def _runs(samples: _Samples) -> Iterator[Span]:
-    for still, run in groupby(samples, key=lambda sample: sample[1]):
+def _covers(samples: _Samples, gap_ns: int, span: Span) -> bool:
+    """Return whether samples tell of a whole span: a node may start late, or die."""
+    times_ns = [span[0], *(time_ns for time_ns, _ in samples), span[1]]
+    return bool(samples) and all(after - before <= gap_ns for before, after in pairwise(times_ns))
+
+
+def _runs(samples: _Samples, gap_ns: int) -> Iterator[Span]:
+    """Yield the standstills; where samples are missing, nothing shows that one goes on."""
+    begin = end = None
+    for time_ns, still in samples:
+        if begin is not None and end is not None and not (still and time_ns - end <= gap_ns):
+            yield begin, end
+            begin = None
         if still:
-            times_ns = [time_ns for time_ns, _ in run]
-            yield times_ns[0], times_ns[-1]
+            begin, end = time_ns if begin is None else begin, time_ns
+    if begin is not None and end is not None:
+        yield begin, end
 
 
 def _around(recording: Recording, look: _Look, run: Span, span: Span) -> list[Span]:
     """Return the standstill about a lone sample."""
     near = (max(span[0], run[0] - _BESIDE_NS), min(span[1], run[1] + _BESIDE_NS))
     found = look(recording, near, untold)
-    return [each for each in _runs(found[1] if found else ()) if each[0] <= run[1] and run[0] <= each[1]]
+    runs = _runs(*found[1:]) if found else ()
+    return [each for each in runs if each[0] <= run[1] and run[0] <= each[1]]
 
 
 def has_single_frames(recording: Recording) -> bool:
@@ -125,12 +141,12 @@ def _by_odometry(recording: Recording, span: Span, observe: ProgressObserver) ->
     samples = _ros_samples(recording, _ODOMETRY, span, 1, observe)
     if samples is None:
         return None
-    topic, times_ns, bursts = samples
+    topic, times_ns, bursts, gap_ns = samples
     rows = np.array([[*map(np.linalg.norm, (row[43:46], row[46:49])), *row[:3]] for (row, *_) in bursts])
     finite = np.isfinite(rows).all(axis=1)
     steps_m = np.linalg.norm(np.diff(rows[:, 2:], axis=0, prepend=rows[:1, 2:]), axis=1)
     still = finite & (rows[:, 0] < _MAX_SPEED_MPS) & (rows[:, 1] < _MAX_TURN_RAD_S) & (steps_m < _MAX_STEP_M)
-    return f"odometry on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
+    return f"odometry on '{topic}'", list(zip(times_ns, still.tolist(), strict=True)), gap_ns
 
 
 def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
@@ -138,13 +154,15 @@ def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evi
     samples = _ros_samples(recording, _IMU, span, 20, observe)
     if samples is None:
         return None
-    topic, times_ns, bursts = samples
+    topic, times_ns, bursts, gap_ns = samples
     imu = [np.array(rows) for rows in bursts]
-    shakes_mps2 = np.array([np.linalg.norm(rows[:, 25:28].std(axis=0)) for rows in imu])
+    gravity = float(np.nanmedian([np.linalg.norm(rows[:, 25:28].mean(axis=0)) for rows in imu]))
+    to_mps2 = _G_MPS2 if gravity < _MOST_G else 1.0  # some drivers give g
+    shakes_mps2 = to_mps2 * np.array([np.linalg.norm(rows[:, 25:28].std(axis=0)) for rows in imu])
     turns_rad_s = np.array([np.abs(rows[:, 13:16].mean(axis=0)).max() for rows in imu])
     calm_mps2 = _SHAKE_RATIO * float(np.nanpercentile(shakes_mps2, 10))
     still = (shakes_mps2 < min(_MAX_SHAKE_MPS2, max(_MIN_SHAKE_MPS2, calm_mps2))) & (turns_rad_s < 2 * _MAX_TURN_RAD_S)
-    return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
+    return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True)), gap_ns
 
 
 def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
@@ -153,26 +171,28 @@ def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _
     The LiDAR is the one with the largest clouds that show enough at all times, else at most times. One that is silent
     for a part of the recording shows nothing then.
     """
-    found: list[tuple[float, str, _Samples]] = []
+    found: list[tuple[float, str, _Samples, int]] = []
     for topic in richest_topics(recording, span)[:4]:
-        samples, expected = _cloud_samples(recording, topic, span, observe)
-        known = min(1.0, sum(still is not None for _, still in samples) / expected)
-        found.append((known, topic, samples))
+        samples, times_ns = _cloud_samples(recording, topic, span, observe)
+        # The last one may have no second frame.
+        known = min(1.0, sum(still is not None for _, still in samples) / max(1, len(times_ns) - 1))
+        found.append((known, topic, samples, _gap_ns(times_ns)))
         if known == 1.0:
             break
-    _, topic, samples = max(found, key=lambda each: each[0])
-    return f"the clouds on '{topic}'", samples
+    _, topic, samples, gap_ns = max(found, key=lambda each: each[0])
+    return f"the clouds on '{topic}'", samples, gap_ns
 
 
-def _cloud_samples(recording: Recording, topic: str, span: Span, observe: ProgressObserver) -> tuple[_Samples, int]:
-    """Return the samples of a LiDAR, and how many one has that is never silent."""
+def _cloud_samples(
+    recording: Recording, topic: str, span: Span, observe: ProgressObserver
+) -> tuple[_Samples, list[int]]:
+    """Return the samples of a LiDAR, and the times at which one has them that is never silent."""
     # Slow LiDARs have no two frames in half a second.
     for step_s in (0.5, 1.0) if span[1] - span[0] <= _SHORT_NS else (1.0,):
         times_ns = _times_ns(span, 90, step_s)
         if samples := _cloud_samples_at(recording, topic, times_ns, span[1], observe):
             break
-    # The last one may have no second frame.
-    return samples, max(1, len(times_ns) - 1)
+    return samples, times_ns
 
 
 def _cloud_samples_at(
@@ -218,8 +238,8 @@ def _stands(motion: Motion) -> bool | None:
 
 def _ros_samples(
     recording: Recording, message_type: str, span: Span, most: int, observe: ProgressObserver
-) -> tuple[str, list[int], list[list[FloatArray]]] | None:
-    """Return the topic with the most messages of a type, and log time and the messages' numbers of each sample."""
+) -> tuple[str, list[int], list[list[FloatArray]], int] | None:
+    """Return the topic with the most messages of a type; time and messages of each sample, as numbers; and the gap."""
     topics = [
         topic
         for topic in recording.topics
@@ -240,12 +260,18 @@ def _ros_samples(
             continue
         bursts.setdefault(index, (message.log_time_ns, []))[1].append(numbers)
     found = [bursts[index] for index in sorted(bursts)]
-    return (name, [time_ns for time_ns, _ in found], [rows for _, rows in found]) if found else None
+    return (name, [time_ns for time_ns, _ in found], [rows for _, rows in found], _gap_ns(times_ns)) if found else None
 
 
 def _times_ns(span: Span, most: int, min_step_s: float) -> list[int]:
     count = int((span[1] - span[0]) / _NS_PER_S / min_step_s) + 1
     return evenly(span[0], span[1] + 1, min(most, count))
+
+
+def _gap_ns(times_ns: Sequence[int]) -> int:
+    """Return the longest time between two samples of such times: one may be missing, and messages be a second apart."""
+    step_ns = times_ns[1] - times_ns[0] if len(times_ns) > 1 else 0
+    return 3 * step_ns + _NS_PER_S
 
 
 def _numbers(message: RawMessage) -> FloatArray:

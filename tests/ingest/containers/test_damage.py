@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -21,6 +22,8 @@ from multilica.geometry import RigidTransform
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.snapshot import Snapshot
 from tests.ingest.support.recording_writers import (
+    PERIOD_NS,
+    START_NS,
     assert_same_points,
     cloud_message,
     make_snapshot,
@@ -31,6 +34,23 @@ from tests.ingest.support.recording_writers import (
 )
 
 FRAMES = 6
+
+
+def test_damage_is_told_if_the_window_begins_within_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_mcap(make_snapshot(frames=20, points=500), path, chunk_size=60_000, compression=CompressionType.NONE)
+    with path.open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    damaged = chunks[1]
+    data = bytearray(path.read_bytes())
+    data[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 0xFF
+    path.write_bytes(data)
+    assert damaged.message_end_time - damaged.message_start_time >= 2 * PERIOD_NS
+    start_s = (damaged.message_start_time - START_NS + 1.5 * PERIOD_NS) / 1e9
+    found = read_snapshot(path, config=IngestConfig(frames=3, start_s=start_s))
+    assert any("has lost scans in 1 place" in note for note in found.notes)
+    with pytest.raises(UnreadableSourceError, match=r"ingest\.strict is set"):
+        read_snapshot(path, config=IngestConfig(frames=3, start_s=start_s, strict=True))
 
 
 def _bare(storage: StoragePlugin) -> Callable[[Snapshot, Path], None]:

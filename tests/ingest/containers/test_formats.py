@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema, Statistics
+from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -17,6 +21,7 @@ from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import Snapshot
+from tests.ingest.support import recording_writers
 from tests.ingest.support.format_writers import POINT_WRITERS
 from tests.ingest.support.recording_writers import (
     assert_same_points,
@@ -39,6 +44,59 @@ MCAP_VARIANTS = {
     "ros1_unindexed": {"encoding": "ros1", "indexed": False},
 }
 LZ4, BZ2 = Ros1Writer.CompressionFormat.LZ4, Ros1Writer.CompressionFormat.BZ2
+
+
+class WithoutCounts(Statistics):
+    """Statistics that leave out the number of messages of each channel."""
+
+    def write(self, builder: RecordBuilder) -> None:
+        self.channel_message_counts = {}
+        super().write(builder)
+
+
+def test_an_index_may_leave_out_what_the_format_allows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    snapshot, path = make_snapshot(), tmp_path / "a.mcap"
+    for left_out in ({"repeat_channels": False}, {"repeat_schemas": False}, {"use_statistics": False}):
+        with monkeypatch.context() as patch:
+            patch.setattr(recording_writers, "McapWriter", partial(Writer, **left_out))
+            write_mcap(snapshot, path)
+        assert_same_points(read_snapshot(path), snapshot)
+    monkeypatch.setattr("mcap.writer.Statistics", WithoutCounts)
+    write_mcap(snapshot, path)
+    assert_same_points(read_snapshot(path), snapshot)
+
+
+def test_messages_may_lie_beside_the_chunks(tmp_path: Path) -> None:
+    snapshot, path = make_snapshot(), tmp_path / "a.mcap"
+    write_mcap(snapshot, path)
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        messages = [(channel.topic, message) for _, channel, message in make_reader(file).iter_messages()]
+    beside = messages[-1][0]
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 24)
+        writer.start("ros2", "test")
+        alone = RecordBuilder()
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            number = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channel_id = writer.register_channel(channel.topic, channel.message_encoding, number)
+            for topic, message in messages:
+                if topic != channel.topic:
+                    continue
+                if topic != beside:
+                    writer.add_message(channel_id, message.log_time, message.data, message.publish_time)
+                    continue
+                Schema(id=number, name=schema.name, encoding=schema.encoding, data=schema.data).write(alone)
+                Channel(channel_id, topic, channel.message_encoding, {}, number).write(alone)
+                Message(channel_id, message.log_time, message.data, message.publish_time, 0).write(alone)
+                statistics = writer._Writer__statistics
+                statistics.message_count += 1
+                statistics.channel_message_counts[channel_id] = statistics.channel_message_counts.get(channel_id, 0) + 1
+        file.write(alone.end())
+        writer.finish()
+    found = read_snapshot(path)
+    assert_same_points(found, snapshot)
 
 
 def test_recordings_give_what_was_written(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from multilica.config import IngestConfig
@@ -16,7 +17,7 @@ from multilica.ingest import TakenSnapshot, read_drive
 from multilica.ingest.drive_recorder import join_stops, record_stops, take_stops
 from multilica.simulate import SimulatedDrive, simulate_drive
 from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
-from multilica.snapshot import Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.drive_logs import small_rig
 
 pytestmark = pytest.mark.slow
@@ -116,6 +117,37 @@ def test_stops_are_joined_by_lidar(drive: SimulatedDrive) -> None:
     assert joined.notes == (*first.notes, "one is missing")
     assert spans[0] == drive.spans_ns[0]
     assert spans[0][1] < spans[1][0]
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_stops_whose_times_overlap_are_told_apart(drive: SimulatedDrive, tmp_path: Path, stamped: bool) -> None:
+    """Stops of two logs whose clocks begin alike, and of point files without times."""
+    first, other = drive.snapshots
+    second = replace(
+        other, lidars=tuple(_with_times_of(*each) for each in zip(other.lidars, first.lidars, strict=True))
+    )
+    given = [first, second] if stamped else [_without_times(each) for each in (first, second)]
+    joined, spans = join_stops(given)
+    assert spans[0][1] < spans[1][0]
+    path, config = tmp_path / "drive.mcap", IngestConfig(frames=FRAMES)
+    write_snapshot_mcap(joined, path, metadata=window_metadata(config, "", spans))
+    for stop, source in zip(read_drive(path, "auto", config=config), given, strict=True):
+        for lidar, expected in zip(stop.lidars, source.lidars, strict=True):
+            for scan, of_source in zip(lidar.scans, expected.scans, strict=True):
+                np.testing.assert_array_equal(scan.points_m, of_source.points_m)
+                assert scan.stamp_ns == of_source.stamp_ns or not stamped
+
+
+def _with_times_of(lidar: LidarScans, other: LidarScans) -> LidarScans:
+    times_ns = [(scan.stamp_ns, scan.log_time_ns) for scan in other.scans]
+    pairs = zip(lidar.scans, times_ns, strict=True)
+    return replace(lidar, scans=tuple(replace(scan, stamp_ns=one, log_time_ns=two) for scan, (one, two) in pairs))
+
+
+def _without_times(stop: Snapshot) -> Snapshot:
+    bare = (tuple(replace(scan, stamp_ns=0, log_time_ns=0) for scan in lidar.scans) for lidar in stop.lidars)
+    lidars = tuple(replace(lidar, scans=scans) for lidar, scans in zip(stop.lidars, bare, strict=True))
+    return replace(stop, lidars=lidars)
 
 
 def test_no_frame_is_lost_where_a_lidar_begins_late(drive: SimulatedDrive, tmp_path: Path) -> None:

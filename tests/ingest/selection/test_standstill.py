@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,18 +96,20 @@ def odometry(store: Typestore, serialise: Callable[[Any, str], Any], *, with_spe
         yield "/odom", name, stamp_ns(time_s), bytes(serialise(message, name))
 
 
-def imu(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+def imu(
+    store: Typestore, serialise: Callable[[Any, str], Any], *, shake_mps2: float = 0.6, unit_mps2: float = 1.0
+) -> Iterator[Raw]:
     types, name, rng = store.types, "sensor_msgs/msg/Imu", np.random.default_rng(0)
     vector = types["geometry_msgs/msg/Vector3"]
     for time_s in np.arange(0.0, DURATION_S, 0.01):
-        shake = 0.6 if moving(time_s) else 0.03
+        shake = shake_mps2 if moving(time_s) else 0.03
         message = types[name](
             header(store, "imu", stamp_ns(time_s)),
             types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
             np.zeros(9),
             vector(*rng.normal(0.0, 0.1 * shake, 3)),
             np.zeros(9),
-            vector(*rng.normal([0.0, 0.0, 9.81], shake)),
+            vector(*(rng.normal([0.0, 0.0, 9.81], shake) / unit_mps2)),
             np.zeros(9),
         )
         yield "/imu", name, stamp_ns(time_s), bytes(serialise(message, name))
@@ -143,6 +146,35 @@ def test_the_longest_standstill_is_found(
     (note,) = snapshot.notes
     assert note.startswith("The vehicle stands still from ")
     assert f" by {view}; frames are from there." in note
+
+
+def test_an_imu_may_measure_in_g(tmp_path: Path) -> None:
+    store, tell = ros2_types(), partial(imu, shake_mps2=0.25)
+    found = []
+    for unit_mps2 in (1.0, 9.81):
+        told = tell(store, store.serialize_cdr, unit_mps2=unit_mps2)
+        messages = sorted([*clouds(store, store.serialize_cdr, real=False), *told], key=lambda message: message[2])
+        write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages, chunk_size=20_000)
+        with closing(open_source(find_source([locate(tmp_path / "a.mcap")]))) as recording:
+            found.append(find_standstills(recording, cloud_span(recording)).spans)
+    assert found[0] == found[1]
+    assert len(found[0]) == len(STILL_S)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tell", [odometry, imu])
+def test_evidence_of_a_part_leaves_the_whole_to_another(tmp_path: Path, tell: Callable[..., Iterator[Raw]]) -> None:
+    """The node died while the vehicle stood."""
+    store = ros2_types()
+    told = [each for each in tell(store, store.serialize_cdr) if stamp_ns(3.2) < each[2] < stamp_ns(4.8)]
+    real = (each for each in clouds(store, store.serialize_cdr, real=True) if each[2] > stamp_ns(3.1))
+    messages = sorted([*real, *told], key=lambda message: message[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages, chunk_size=20_000)
+    with closing(open_source(find_source([locate(tmp_path / "a.mcap")]))) as recording:
+        found = find_standstills(recording, cloud_span(recording))
+    assert found.evidence == "the clouds on '/points'"
+    assert not found.is_whole
+    assert len(found.spans) == len(STILL_S)
 
 
 def test_from_some_time_on(tmp_path: Path) -> None:

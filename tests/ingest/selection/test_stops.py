@@ -377,10 +377,11 @@ def test_a_short_standstill_of_a_long_log_is_found(monkeypatch: pytest.MonkeyPat
     """Samples every 15 s meet it once; those about it tell its length."""
     asked: list[Span] = []
 
-    def look(_: Recording, span: Span, __: object) -> tuple[str, list[tuple[int, bool | None]]]:
+    def look(_: Recording, span: Span, __: object) -> tuple[str, list[tuple[int, bool | None]], int]:
         asked.append(span)
         times_ns = standstill._times_ns(span, 240, 0.25)
-        return "a clock", [(time_ns, 1499e9 <= time_ns < 1503e9 or 2000e9 <= time_ns < 2060e9) for time_ns in times_ns]
+        still = [(time_ns, 1499e9 <= time_ns < 1503e9 or 2000e9 <= time_ns < 2060e9) for time_ns in times_ns]
+        return "a clock", still, standstill._gap_ns(times_ns)
 
     monkeypatch.setattr(standstill, "_by_odometry", look)
     found = standstill.find_standstills(_Clock(), (0, 3600 * 10**9))

@@ -24,6 +24,7 @@ from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.recording_writers import CLOUD, cloud_message, header, in_order, rings_of, ros1_types
 
 LIVOX_DRIVERS = ("livox_ros_driver", "livox_ros_driver2")
+LIVOX_POINT_NS = 100_000
 _LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
 _LIVOX_SCAN = (
     "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n{}/CustomPoint[] points"
@@ -135,7 +136,7 @@ def livox_messages(snapshot: Snapshot, driver: str, encoding: str) -> Iterator[t
             lidar_id=1,
             rsvd=np.zeros(3, np.uint8),
             points=[
-                point(index, *map(float, xyz), int(value), 16, index % 16)
+                point(LIVOX_POINT_NS * index, *map(float, xyz), int(value), 16, index % 16)
                 for index, (xyz, value) in enumerate(zip(scan.points_m, scan.intensity, strict=True))
             ],
         )
