@@ -38,13 +38,12 @@ from multilica.simulate.simulation import (
     topic_of,
     with_motions,
 )
-from multilica.simulate.world import FRAME_S, Exposure, World, random_stream
+from multilica.simulate.world import FRAME_S, WAY_SHARES, Exposure, World, random_stream
 from multilica.snapshot import LidarScans, Snapshot
 
 FIRST_STOP = "first_stop"
 """Frame of the vehicle's poses: its base frame at the first stop."""
 _LEG_FRAMES = 30
-_KNOTS = 5
 _UNMOVED: Mapping[str, RigidTransform] = MappingProxyType({})
 _CAR_LOW_M, _CAR_HIGH_M = np.array([-2.8, -1.1, 0.4]), np.array([2.8, 1.1, 2.0])
 _CAR_NEAR_M, _CAR_FAR_M = 3.5, 14.0
@@ -226,7 +225,7 @@ class _Drive:
             moving = self._movers[stop].at(time_s - stop * self._cycle * FRAME_S)
             movers = merged([moving, *self._parked[next_or_this]])
             stamp_ns, pose = FIRST_STAMP_NS + round(time_s * 1e9), T_base_lidar[next_or_this >= moved_from]
-            on_way = [self._pose(time_s + share * FRAME_S) for share in np.linspace(0.0, 1.0, _KNOTS)]
+            on_way = [self._pose(time_s + share * FRAME_S) for share in WAY_SHARES]
             scans.append(self.world.scan(mount, unit, Exposure(frame, stamp_ns, pose, on_way, movers)))
         return thinned_scans(LidarScans(mount.name, tuple(scans), topic=topic_of(mount.name)), keep_every)
 

@@ -15,7 +15,7 @@ from multilica.simulate.disturbances import require_known
 from multilica.simulate.rigs import BASE, RIGS, Rig, as_built, chain_rig, with_drawing_error
 from multilica.simulate.scenes import SCENES, Scene
 from multilica.simulate.units import LidarUnit, draw_unit
-from multilica.simulate.world import FRAME_S, Exposure, World, random_stream
+from multilica.simulate.world import FRAME_S, WAY_SHARES, Exposure, World, random_stream
 from multilica.snapshot import LidarScans, Snapshot
 
 FIRST_STAMP_NS = 1_767_225_600_000_000_000
@@ -79,8 +79,9 @@ def simulate_snapshot(
         scans = []
         for frame in range(frames):
             time_s = frame * FRAME_S + delays_s[mount.name]
-            stamp_ns, T_world_base = start_ns + round(time_s * 1e9), _pose(standing, disturbances, time_s)
-            taken = Exposure(frame, stamp_ns, poses[mount.name], (T_world_base,), movers.at(time_s))
+            stamp_ns = start_ns + round(time_s * 1e9)
+            on_way = [_pose(standing, disturbances, time_s + share * FRAME_S) for share in WAY_SHARES]
+            taken = Exposure(frame, stamp_ns, poses[mount.name], on_way, movers.at(time_s))
             scans.append(world.scan(mount, vehicle.units[mount.name], taken))
         lidars.append(LidarScans(mount.name, tuple(scans), topic=topic_of(mount.name)))
     number = "" if build_seed is None else f", vehicle {build_seed}"

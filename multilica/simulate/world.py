@@ -26,6 +26,8 @@ from multilica.simulate.units import LidarUnit, draw_reflectivities
 from multilica.snapshot import Scan
 
 FRAME_S = 0.1
+WAY_SHARES = np.linspace(0.0, 1.0, 5)
+"""Parts of a frame at which the pose of a moving vehicle is told."""
 
 
 def random_stream(*keys: object) -> np.random.Generator:

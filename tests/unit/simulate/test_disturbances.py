@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from multilica.errors import UnknownNameError, UsageError
 from multilica.simulate import RIGS, simulate_snapshot
+from multilica.simulate import simulation as simulation_module
 from multilica.simulate.disturbances import blocked_beams, random_walkers, require_known, truck_beside
 from multilica.simulate.rigs import as_built
 from multilica.simulate.scenes import SCENES
@@ -141,6 +142,16 @@ def test_rain_falls_on_a_vehicle_that_is_masked():
     before, after = masked["left"].points_m, rainy["left"].points_m
     assert len(before) == len(after)
     assert 0.015 < np.any(before != after, axis=1).mean() < 0.025
+
+
+def test_a_moving_vehicle_moves_while_it_scans(monkeypatch):
+    """At 3 m/s it goes 0.3 m in a frame, so that beams at its end are cast from there."""
+    on_way = simulate_snapshot("sides", "street", 1, frames=1, disturbances=("moving",), sensors="ideal").snapshot
+    monkeypatch.setattr(simulation_module, "WAY_SHARES", np.zeros(1))
+    at_stamp = simulate_snapshot("sides", "street", 1, frames=1, disturbances=("moving",), sensors="ideal").snapshot
+    for one, other in zip(on_way.lidars, at_stamp.lidars, strict=True):
+        near, _ = cKDTree(other.points_m).query(one.points_m)
+        assert 0.1 < np.percentile(near, 95) < 1.0
 
 
 @pytest.mark.slow
