@@ -128,7 +128,7 @@ def publish(directory: Path) -> None:
 
 def _remove_snapshots(directory: Path, keep: Sequence[str] = ()) -> None:
     """Remove the directories of the single snapshots that the result of an earlier run names, but those to keep."""
-    earlier = _result(directory).get("snapshots")
+    earlier = (_result(directory) or {}).get("snapshots")
     for each in earlier if isinstance(earlier, list) else []:
         name = each.get("name") if isinstance(each, dict) else None
         if not isinstance(name, str) or name in keep or Path(name).name != name or name in ("", ".."):
@@ -153,16 +153,16 @@ def _is_unfinished_run(unfinished: Path) -> bool:
 def _holds_result(directory: Path) -> bool:
     """Return whether an earlier run left a result that is not a refusal."""
     found = _result(directory)
-    return bool(found) and found.get("refusal") is None
+    return found is not None and found.get("refusal") is None
 
 
-def _result(directory: Path) -> dict[str, object]:
-    """Return the result that an earlier run left; empty if there is none that can be read."""
+def _result(directory: Path) -> dict[str, object] | None:
+    """Return the result that an earlier run left; None if there is none that can be read."""
     try:
         document = parse_json(read_limited(directory / RESULT_JSON, MAX_JSON_BYTES))
     except (OSError, DocumentError):
-        return {}
-    return document if isinstance(document, dict) else {}
+        return None
+    return document if isinstance(document, dict) else None
 
 
 @dataclass(slots=True, eq=False)

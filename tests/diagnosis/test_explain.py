@@ -195,7 +195,7 @@ def test_a_lidar_mounted_against_its_prior_is_a_warning():
 
 def test_a_pair_that_contradicts_the_others_is_a_warning():
     document = made_document("complete")
-    errors = {"before_m": 0.5, "before_deg": 1.5, "after_m": 0.5, "after_deg": 1.5}
+    errors = {"before_m": 0.4, "before_deg": 1.2, "after_m": 0.1, "after_deg": 0.3, "apart_m": 0.5, "apart_deg": 1.5}
     pair = {"target": "top", "source": "rear", "weight": 0.1, "probability": 1e-5, "snapshot": "", **errors}
     largest = {"m": 0.5, "deg": 1.5}
     document["refinement"] = {

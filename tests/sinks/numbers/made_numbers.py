@@ -56,6 +56,8 @@ MERGE_RMSE_MM = {FRONT: 66.1, REAR: 77.2}
 
 RESIDUALS = {(TOP, FRONT): (5.4, 0.0321, 2.2, 0.0173, 0.94), (TOP, REAR): (15.8, 0.0119, 8.3, 0.0062, 0.31)}
 """By target and source: mm and degrees before, mm and degrees after, weight."""
+APART = 2.5
+"""Times as far are pairs from where the others put them."""
 
 DEVIATIONS = {"dawn": {FRONT: (3.1, 0.213), REAR: (12.3, 0.045)}, "dusk": {FRONT: (6.6, 0.087), REAR: (4.9, 0.178)}}
 """By snapshot and LiDAR: mm and degrees."""
@@ -105,6 +107,8 @@ def refinement() -> Refinement:
                 after_deg,
                 weight,
                 1e-6 if weight < 0.5 else 0.4,
+                APART * after_mm / 1000.0,
+                APART * after_deg,
             )
             for pair, (before_mm, before_deg, after_mm, after_deg, weight) in RESIDUALS.items()
         )
