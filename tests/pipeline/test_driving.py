@@ -63,12 +63,14 @@ def test_the_way_and_the_turn_are_right_or_bounds(
     way_m, turn_rad = speed_m_s * PERIOD_S * (FRAMES - 1), np.deg2rad(turn_deg_s) * PERIOD_S * (FRAMES - 1)
     # A LiDAR beside the axis goes a shorter or a longer way round a turn.
     slack_m = 0.03 + 0.05 * way_m + 2.0 * turn_rad
+    # A frame is skewed by the way that the vehicle goes while it is taken: 3 m at 30 m/s.
+    slack_rad = np.deg2rad(1.5 + 0.05 * speed_m_s)
     for motion in motions.values():
         assert motion.moving
         assert motion.shift_m < way_m + slack_m
         if not motion.at_least:
             assert motion.shift_m == pytest.approx(way_m, abs=slack_m)
-            assert motion.turn_rad == pytest.approx(turn_rad, abs=np.deg2rad(1.5))
+            assert motion.turn_rad == pytest.approx(turn_rad, abs=slack_rad)
     assert sum(not motion.at_least for motion in motions.values()) >= 2
     assert ("at least" in refusal) == any(motion.at_least for motion in motions.values())
 
