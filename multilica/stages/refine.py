@@ -205,7 +205,7 @@ def trusted_pairs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
-    """Offset (6,) of a pair from where the others put it, and its squared Mahalanobis distance; None without others."""
+    """Offset (6,) of a pair from where the others put it, and its squared Mahalanobis distance."""
 
     offset: FloatArray
     squared: float
@@ -221,7 +221,7 @@ def _apart_from_others(pairs: Sequence[ViewPair], views: ViewPoses, weights: Seq
     Args:
         weights: of the pairs, in the refinement.
     """
-    size = views.columns
+    size, unknown = views.columns, np.diag(UNKNOWN**-2.0)
     total, pull = np.diag(np.resize(UNKNOWN, size) ** -2.0), np.zeros(size)
     own = []
     for pair, weight in zip(pairs, weights, strict=True):
@@ -238,7 +238,7 @@ def _apart_from_others(pairs: Sequence[ViewPair], views: ViewPoses, weights: Seq
         right[columns, 0] += gradient
         moved = jacobian @ np.linalg.solve(others, right)[columns]
         offset = views.offset(pair) + moved[:, 0]
-        covariance = moved[:, 1:] + np.linalg.inv(np.asarray(pair.registration.information))
+        covariance = moved[:, 1:] + np.linalg.inv(np.asarray(pair.registration.information) + unknown)
         yield _Apart(offset, float(offset @ np.linalg.solve(covariance, offset)))
 
 

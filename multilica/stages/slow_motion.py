@@ -48,8 +48,9 @@ class SlowMotion:
         if pair.information is None:
             return pair
         off_rad, off_m = self._between(pair.target, pair.source)
-        covariance = np.linalg.inv(pair.information)
-        least_rad, least_m = (np.linalg.eigvalsh(each)[0] ** 0.5 for each in (covariance[:3, :3], covariance[3:, 3:]))
+        covariance = np.linalg.pinv(pair.information, hermitian=True)
+        of_parts = covariance[:3, :3], covariance[3:, 3:]
+        least_rad, least_m = (np.sqrt(max(0.0, np.linalg.eigvalsh(each)[0])) for each in of_parts)
         is_little = off_rad < _LITTLE * least_rad and off_m < _LITTLE * least_m
         return pair if is_little else widened_everywhere(pair, off_rad, off_m)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs of a ring beside the poses that the others give."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -66,6 +68,13 @@ def test_a_pair_without_others_contradicts_nothing():
     pairs = [_pair(truth, "l0", name, np.full(6, 0.01)) for name in ("l1", "l2", "l3")]
     rig = refine("l0", truth, pairs, RefineConfig())
     assert [each.probability for each in rig.refinement.pairs] == pytest.approx([1.0] * 3)
+
+
+def test_a_pair_that_tells_nothing_contradicts_nothing():
+    truth, pairs, _ = _ring(4)
+    pairs[0] = replace(pairs[0], information=np.diag([0.0, 0.0, 1e6, 0.0, 0.0, 0.0]))
+    rig = refine("l0", truth, pairs, RefineConfig())
+    assert min(each.probability for each in rig.refinement.pairs) > 0.01
 
 
 @pytest.mark.parametrize("first", [[0.0, 0.0, 0.0, 0.1, 0.0, 0.0], [0.0, 0.0, 0.015, 0.0, 0.0, 0.0]])

@@ -51,6 +51,9 @@ def test_it_is_in_the_covariance_of_pairs_for_joint_results():
     np.testing.assert_allclose(np.linalg.inv(after.bias_information.information), covariance, atol=1e-9)
     np.testing.assert_allclose(after.bias_information.spread, after.bias_information.information, rtol=1e-6)
     assert SlowMotion().added_to_pair(pair) is pair
+    loose = replace(pair, information=np.diag([0.0, 1e6, 1e6, 1e4, 1e4, 0.0]), bias_information=None)
+    widened = slow.added_to_pair(loose).information
+    np.testing.assert_allclose(np.diag(widened)[[0, 3, 5]], [0.0, 1.0 / (1e-4 + 0.02**2), 0.0], atol=1e-6)
     assert SlowMotion(1e-5, 1e-6, slow.times_s, 1.0).added_to_pair(pair) is pair
 
 
