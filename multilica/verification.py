@@ -2,7 +2,6 @@
 """Test of known extrinsics against a snapshot, without a search."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
@@ -99,17 +98,18 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
-    rig = replace(rig, covariances=state.slow_motion.added_to(rig.covariances, root))
-    offsets = {name: rig.poses[name].offset_from(known.between(root, name)) for name in rig.covariances}
-    if offsets and are_contradicted(offsets, rig.covariances):
+    covariances = state.slow_motion.added_to(rig.covariances, root)
+    offsets = {name: rig.poses[name].offset_from(known.between(root, name)) for name in covariances}
+    if offsets and are_contradicted(offsets, covariances):
         # It may have been a car that moved.
         state.target = root
         rig = doubt_movable(state, rig, accepted)
+        covariances = state.slow_motion.added_to(rig.covariances, root)
     limits = state.config.acceptance
 
     def placement(name: str) -> LidarPlacement:
         if name in rig.poses:
-            return place(rig.poses[name], rig.covariances.get(name), limits, held=state.held.get(name))
+            return place(rig.poses[name], covariances.get(name), limits, held=state.held.get(name))
         return unplaced_near_known(name, rig.poses, scores, found, limits, state.not_reached)
 
     placements = tuple(map(placement, state.snapshot.names))

@@ -102,7 +102,10 @@ def _summary(stream: ExactReader) -> Summary | None:
 
 
 def _is_complete(summary: Summary) -> bool:
-    """Return whether the index tells all messages: channels, schemas and counts may be left out, or chunks not used."""
+    """Return whether the index tells all messages.
+
+    It may leave out channels, schemas or counts, and messages may lie beside the chunks.
+    """
     statistics = summary.statistics
     if statistics is None or not summary.chunk_indexes:
         return False

@@ -46,7 +46,9 @@ _MAX_SHAKE_MPS2 = 0.3
 _MIN_SHAKE_MPS2 = 0.05
 _SHAKE_RATIO = 2.5
 """An idling engine shakes the body by 0.1 m/s2, a smooth road by more than 0.3."""
-_G_MPS2, _MOST_G = 9.81, 2.0
+_G_MPS2 = 9.81
+_LEAST_G, _MOST_G = 0.5, 2.0
+"""Mean accelerations in between are gravity in g; without gravity, they are nearly 0."""
 _BESIDE_NS = 3 * 10**9
 """By which the times before and after a sample of standstill that stands alone are looked at, too."""
 _MOST_LONE = 8
@@ -157,7 +159,7 @@ def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evi
     topic, times_ns, bursts, gap_ns = samples
     imu = [np.array(rows) for rows in bursts]
     gravity = float(np.nanmedian([np.linalg.norm(rows[:, 25:28].mean(axis=0)) for rows in imu]))
-    to_mps2 = _G_MPS2 if gravity < _MOST_G else 1.0  # some drivers give g
+    to_mps2 = _G_MPS2 if _LEAST_G < gravity < _MOST_G else 1.0  # some drivers give g
     shakes_mps2 = to_mps2 * np.array([np.linalg.norm(rows[:, 25:28].std(axis=0)) for rows in imu])
     turns_rad_s = np.array([np.abs(rows[:, 13:16].mean(axis=0)).max() for rows in imu])
     calm_mps2 = _SHAKE_RATIO * float(np.nanpercentile(shakes_mps2, 10))

@@ -97,7 +97,12 @@ def odometry(store: Typestore, serialise: Callable[[Any, str], Any], *, with_spe
 
 
 def imu(
-    store: Typestore, serialise: Callable[[Any, str], Any], *, shake_mps2: float = 0.6, unit_mps2: float = 1.0
+    store: Typestore,
+    serialise: Callable[[Any, str], Any],
+    *,
+    shake_mps2: float = 0.6,
+    unit_mps2: float = 1.0,
+    gravity_mps2: float = 9.81,
 ) -> Iterator[Raw]:
     types, name, rng = store.types, "sensor_msgs/msg/Imu", np.random.default_rng(0)
     vector = types["geometry_msgs/msg/Vector3"]
@@ -109,7 +114,7 @@ def imu(
             np.zeros(9),
             vector(*rng.normal(0.0, 0.1 * shake, 3)),
             np.zeros(9),
-            vector(*(rng.normal([0.0, 0.0, 9.81], shake) / unit_mps2)),
+            vector(*(rng.normal([0.0, 0.0, gravity_mps2], shake) / unit_mps2)),
             np.zeros(9),
         )
         yield "/imu", name, stamp_ns(time_s), bytes(serialise(message, name))
@@ -148,16 +153,16 @@ def test_the_longest_standstill_is_found(
     assert f" by {view}; frames are from there." in note
 
 
-def test_an_imu_may_measure_in_g(tmp_path: Path) -> None:
+def test_an_imu_may_measure_in_g_or_without_gravity(tmp_path: Path) -> None:
     store, tell = ros2_types(), partial(imu, shake_mps2=0.25)
     found = []
-    for unit_mps2 in (1.0, 9.81):
-        told = tell(store, store.serialize_cdr, unit_mps2=unit_mps2)
+    for kind in ({}, {"unit_mps2": 9.81}, {"gravity_mps2": 0.0}):
+        told = tell(store, store.serialize_cdr, **kind)
         messages = sorted([*clouds(store, store.serialize_cdr, real=False), *told], key=lambda message: message[2])
         write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages, chunk_size=20_000)
         with closing(open_source(find_source([locate(tmp_path / "a.mcap")]))) as recording:
             found.append(find_standstills(recording, cloud_span(recording)).spans)
-    assert found[0] == found[1]
+    assert found[0] == found[1] == found[2]
     assert len(found[0]) == len(STILL_S)
 
 

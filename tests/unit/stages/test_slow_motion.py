@@ -12,6 +12,7 @@ from multilica.results import BiasInformation
 from multilica.simulate import simulate_snapshot, simulation
 from multilica.snapshot import LidarScans, Scan
 from multilica.stages.slow_motion import SlowMotion, slow_motion_of
+from multilica.verification import register_from_known
 from tests.unit.acceptance.made_rig import linked
 
 _BEGIN_NS = 10**18
@@ -85,9 +86,10 @@ def test_a_creeping_vehicle_leaves_poses_within_their_sigma(monkeypatch):
     monkeypatch.setattr(simulation, "_SPEED_M_S", 0.1)
     made = simulate_snapshot("sides", "street", 3, frames=5, disturbances=("moving",))
     first, *others = made.snapshot.lidars
-    lidars = (replace(first, scans=first.scans[-1:]), *others)
-    result = calibrate(replace(made.snapshot, lidars=lidars), CalibrationConfig(runtime={"workers": 1}))
-    place = result[first.name]
-    off = place.T_target_source.offset_from(made.truth.between(result.target, first.name))
-    assert np.linalg.norm(off[3:]) > 0.01
-    assert off @ np.linalg.solve(place.covariance, off) < 22.5
+    snapshot = replace(made.snapshot, lidars=(replace(first, scans=first.scans[-1:]), *others))
+    config = CalibrationConfig(runtime={"workers": 1})
+    for result in (calibrate(snapshot, config), register_from_known(snapshot, made.truth, config)):
+        known = made.truth.between(result.target, first.name)
+        off = result[first.name].T_target_source.offset_from(known)
+        assert np.linalg.norm(off[3:]) > 0.01
+        assert off @ np.linalg.solve(result[first.name].covariance, off) < 22.5
