@@ -23,6 +23,7 @@ from multilica.multi_snapshot.motions import OPEN_M
 from multilica.multi_snapshot.view_solution import solutions_on_plane, solve_views
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
+from multilica.orchestration.clouds import without_blind_target
 from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.links import (
     MAX_LINKED_STOPS,
@@ -280,7 +281,7 @@ def calibrate_alone(
     earlier: EarlierStops,
 ) -> SnapshotRun:
     """Calibrate one stop, from the poses that earlier ones found; a refused one is only a run."""
-    own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
+    own = without_blind_target(snapshot, config)
     try:
         result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
     except UnfitSnapshotError as refusal:

@@ -36,7 +36,7 @@ from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.multi_snapshot import SnapshotRun, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
-from multilica.orchestration.clouds import require_libraries
+from multilica.orchestration.clouds import require_libraries, without_blind_target
 from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
@@ -304,12 +304,12 @@ def _run_alone(
     config = request.config
     try:
         snapshot = _read(given, config.model_copy(update={"target": ""}), request.observe).snapshot
-        if config.target not in snapshot.names:
+        own = without_blind_target(snapshot, config)
+        if not own.target:
             # The joint result has the ground under the target.
-            ground = config.ground.model_copy(update={"enabled": False})
-            config = config.model_copy(update={"target": "", "ground": ground})
+            own = own.model_copy(update={"ground": config.ground.model_copy(update={"enabled": False})})
             request = replace(request, rig=None)
-        result = _run_one(snapshot, directory, replace(request, config=config), prepared, earlier).result
+        result = _run_one(snapshot, directory, replace(request, config=own), prepared, earlier).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(given.name, str(refusal)))
         (told,) = without_folders([str(refusal)], given.paths)

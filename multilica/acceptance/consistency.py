@@ -96,6 +96,26 @@ def widened(
     return found
 
 
+def widened_by_snapshots(
+    pose: RigidTransform,
+    covariance: FloatArray,
+    doubts: Sequence[PairResidual | None],
+    poses: Mapping[str, RigidTransform],
+) -> FloatArray:
+    """Widen the covariance (6, 6) of a pose that several snapshots tell by how far their cycles are off.
+
+    A LiDAR that is off by its own errors is so in every snapshot: the deviations add up, each by the share of its
+    snapshot.
+
+    Args:
+        doubts: per snapshot that tells the pose, its contradiction, if there is one.
+        poses: ``T_root_lidar`` of all LiDARs.
+    """
+    spreads = [_spread(each, _lever_m(pose, each, poses)) for each in doubts if each is not None]
+    deviations = sum((np.sqrt(np.diag(spread)) for spread in spreads), np.zeros(6)) / max(len(doubts), 1)
+    return np.asarray(covariance + np.diag(deviations**2))
+
+
 def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason:
     """Return the reason to doubt all pairs of the cycle."""
     probability = max(residual.probability, 1e-300)

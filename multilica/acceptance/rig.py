@@ -32,9 +32,10 @@ def check_scene_symmetry(
     Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
     other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
     The motion between these is the symmetry of the hall, and so is its inverse; each takes the pose of the first two to
-    one that may be correct. It is no symmetry if what the whole group sees contradicts itself when turned, but the
-    turned pose competes nevertheless if it is nearly as likely. So does a pose that is one repetition of the scene
-    away, if no cycle confirms the pair.
+    one that may be correct. All LiDARs that pairs join stand in the same hall, also where the pair has none of them. It
+    is no symmetry if what the whole group sees contradicts itself when turned, but the turned pose competes
+    nevertheless if it is nearly as likely. So does a pose that is one repetition of the scene away, if the pair has a
+    LiDAR in common with the one that sees it, and no cycle confirms the pair.
 
     Args:
         score_pose, score_turned: with the tolerances of rough poses.
@@ -42,8 +43,11 @@ def check_scene_symmetry(
     Returns:
         The pairs in their order, some with another verdict.
     """
+    repeating = [pair for pair in pairs if competing_poses(pair.registrations, config)]
     return [
-        _turned(pair, pairs, score_pose, score_turned, config) if may_join(pair) and pair.registrations else pair
+        _turned(pair, pairs, repeating, score_pose, score_turned, config)
+        if repeating and may_join(pair) and pair.registrations
+        else pair
         for pair in pairs
     ]
 
@@ -51,26 +55,52 @@ def check_scene_symmetry(
 def _turned(
     pair: PairRegistration,
     pairs: Sequence[PairRegistration],
+    repeating: Sequence[PairRegistration],
     score_pose: ScorePose,
     score_turned: ScoreTurned,
     config: AcceptanceConfig,
 ) -> PairRegistration:
     pose, margin = pair.T_target_source, config.min_log_odds_margin
-    for other in pairs:
-        for lidar in sorted(pair.lidars & other.lidars):
-            for symmetry in _symmetries(other, lidar, config):
-                there = symmetry @ pose if lidar == pair.target else pose @ symmetry
-                if not is_near(there, config.max_baseline_m) or not is_distinct(there, [pose]):
-                    continue
-                competing = score_pose(there)
-                lead = pair.registrations[0].rough_lead_over(competing)
-                is_turn = pose.distance_to(there)[1] >= _TURNED_RAD
-                if is_turn and (lead < margin or _is_possible(competing, symmetry, score_turned, margin)):
-                    return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
-                if lead < margin and not _is_confirmed(pair, pairs):
-                    reason = _repetition(pair, competing, other, lead, config)
-                    return replace(pair, verdict=Verdict("undecided", (reason,)))
+    for lidar, other, symmetry in _seen_from(pair, pairs, repeating, config):
+        there = symmetry @ pose if lidar == pair.target else pose @ symmetry
+        is_turn = pose.distance_to(there)[1] >= _TURNED_RAD
+        is_own = lidar in other.lidars
+        if not is_near(there, config.max_baseline_m) or not is_distinct(there, [pose]) or not (is_turn or is_own):
+            continue
+        competing = score_pose(there)
+        lead = pair.registrations[0].rough_lead_over(competing)
+        if is_turn and (lead < margin or _is_possible(competing, symmetry, score_turned, margin)):
+            return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
+        if is_own and lead < margin and not _is_confirmed(pair, pairs):
+            return replace(pair, verdict=Verdict("undecided", (_repetition(pair, competing, other, lead, config),)))
     return pair
+
+
+def _seen_from(
+    pair: PairRegistration,
+    pairs: Sequence[PairRegistration],
+    repeating: Sequence[PairRegistration],
+    config: AcceptanceConfig,
+) -> Iterator[tuple[str, PairRegistration, RigidTransform]]:
+    """Yield each motion after which the scene looks the same, in the frame of a LiDAR of the pair.
+
+    Pairs that join LiDARs carry the motions that others see to the pair.
+
+    Yields:
+        The LiDAR of the pair, the pair that sees the motion, and the motion.
+    """
+    names = {name for each in pairs for name in each.lidars}
+    graph = PairGraph.of(names, [each for each in pairs if each is not pair and may_join(each)])
+    for other in repeating:
+        for lidar in sorted(pair.lidars & other.lidars):
+            yield from ((lidar, other, motion) for motion in _symmetries(other, lidar, config))
+        if pair.lidars & other.lidars:
+            continue
+        for lidar in sorted(pair.lidars):
+            if (there := graph.implied(lidar, other.target)) is not None:
+                back = there.inverse()
+                motions = _symmetries(other, other.target, config)
+                yield from ((lidar, other, there @ motion @ back) for motion in motions)
 
 
 def _is_confirmed(pair: PairRegistration, pairs: Sequence[PairRegistration]) -> bool:

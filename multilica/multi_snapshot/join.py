@@ -13,13 +13,8 @@ from multilica.acceptance.placement import contested_place, place, place_target,
 from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot.estimate import (
-    Estimate,
-    chance_of_difference,
-    estimate_poses,
-    scatter_ratio,
-    spread_of,
-)
+from multilica.multi_snapshot.cycle_doubts import doubts_within, widened_by_doubts
+from multilica.multi_snapshot.estimate import Estimate, chance_of_difference, estimate_poses, scatter_ratio, spread_of
 from multilica.multi_snapshot.knocks import MOST_M, MOST_RAD
 from multilica.multi_snapshot.motions import ToldPose
 from multilica.multi_snapshot.pose_conflicts import (
@@ -37,6 +32,7 @@ from multilica.results import (
     DriveView,
     LidarPlacement,
     PairRegistration,
+    PairResidual,
     PoseConflict,
     Refinement,
     SnapshotDeviation,
@@ -164,6 +160,7 @@ def join(
         alone,
         alone | _estimates(target, changed, config),
         inconsistent,
+        {name: doubts_within(target, kept[name], result) for name, result in results.items()},
         config.acceptance,
     )
     result = CalibrationResult(
@@ -270,6 +267,7 @@ class _JointRig:
         alone: per snapshot and LiDAR, the pose by that snapshot alone.
         agreed: the same by the kept registrations.
         inconsistent: per snapshot, its conflicts; the first LiDAR of each is to blame.
+        doubts: per snapshot and LiDAR, the cycle that does not close.
     """
 
     target: str
@@ -279,6 +277,7 @@ class _JointRig:
     alone: Mapping[str, Mapping[str, Estimate]]
     agreed: Mapping[str, Mapping[str, Estimate]]
     inconsistent: Mapping[str, tuple[PoseConflict, ...]]
+    doubts: Mapping[str, Mapping[str, PairResidual]]
     limits: AcceptanceConfig
 
     @property
@@ -307,7 +306,15 @@ class _JointRig:
         of_links = [link.registration for link in self.linked.linked.links]
         pairs = [*(pair for own in self.kept.values() for pair in own), *of_links]
         best = max((pair for pair in pairs if lidar in pair.lidars), key=lambda pair: pair.evidence)
-        covariance = self.rig.covariances[lidar] * np.outer(ratio, ratio)
+        telling = [name for name, own in self.agreed.items() if lidar in own]
+        telling = telling or [name for name, own in self.kept.items() if any(lidar in pair.lidars for pair in own)]
+        covariance, covered = widened_by_doubts(
+            self.rig.poses[lidar],
+            self.rig.covariances[lidar] * np.outer(ratio, ratio),
+            {name: self.doubts[name].get(lidar) for name in telling},
+            self.rig.poses,
+            self.limits,
+        )
         how = _placed_by(len(estimates), len(self.results), linked=bool(of_links))
         knock = self.linked.possible_knock
         knocked = knock is not None and knock.matters(lidar, covariance)
@@ -318,6 +325,7 @@ class _JointRig:
             covariance,
             self.limits,
             f"{how}; {knock.text}" if knock is not None and knocked else how,
+            covered,
             repeatability=self.rig.repeatability.get(lidar),
             fitness=best.fitness,
             rmse_m=best.rmse_m,

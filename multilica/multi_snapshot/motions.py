@@ -118,12 +118,12 @@ def described(motion: ViewPair, *, used: bool) -> StopMotion:
 
 
 def _is_odd(motion: ViewPair, others: Sequence[ViewPair]) -> bool:
-    """Return whether half of the other motions between the same stops differ in their size."""
+    """Return whether more than half of the other motions between the same stops differ in their size."""
     rivals = [
         each for each in others if (each.target_stop, each.source_stop) == (motion.target_stop, motion.source_stop)
     ]
     against = sum(_differ(described(motion, used=True), described(each, used=True)) for each in rivals)
-    return against > 0 and 2 * against >= len(rivals)
+    return 2 * against > len(rivals)
 
 
 def _differ(one: StopMotion, other: StopMotion) -> bool:

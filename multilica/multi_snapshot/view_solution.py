@@ -9,6 +9,7 @@ import numpy as np
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, rotation_vector
+from multilica.multi_snapshot.common_ground import ground_pairs_of
 from multilica.multi_snapshot.pair_equations import LARGEST_RESIDUAL, PairEquations
 from multilica.multi_snapshot.planar_poses import PlanarPoses, planar_poses
 from multilica.registration.poses import is_distinct
@@ -206,7 +207,7 @@ def _on_plane(start: PlanarPoses, pairs: Sequence[ViewPair], grounds: Sequence[V
     first = frozenset([*start.stops][:1])
     free = sorted(name for name in lidars if start.poses[name].target != name)
     state = ViewPoses(start.poses, start.stops, free, sorted(stops - first))
-    seen = [pair for pair in grounds if pair.registration.lidars <= lidars]
+    seen = ground_pairs_of(lidars, grounds)
     return ViewSolution(state, used, first, np.inf, np.zeros((state.columns, state.columns)), seen)
 
 
@@ -317,7 +318,7 @@ def _started(
     used = [pair for pair in pairs if not pair.is_link and pair.registration.lidars <= {*poses}] + [*linked.links]
     stops = {name: linked.poses[name] for link in linked.links for name in sorted(link.stops)}
     state = ViewPoses(poses, stops, sorted(poses.keys() - {root}), sorted(stops.keys() - linked.first))
-    seen = [pair for pair in grounds if pair.registration.lidars <= {*poses}]
+    seen = ground_pairs_of(poses, grounds)
     return ViewSolution(state, used, linked.first, np.inf, np.zeros((state.columns, state.columns)), seen)
 
 

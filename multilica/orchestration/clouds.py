@@ -3,9 +3,12 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
+from multilica.geometry import lengths
 from multilica.optional_libraries import raise_missing, require_library
 from multilica.orchestration.pairs import PreparedLidar, prepare_lidar
 from multilica.orchestration.state import CalibrationState
@@ -54,6 +57,15 @@ def require_two_lidars(snapshot: Snapshot) -> None:
             f"{snapshot.source or 'The snapshot'} has {len(with_returns)} LiDAR(s) with returns ({found}). "
             "Calibration needs at least two."
         )
+
+
+def without_blind_target(snapshot: Snapshot, config: CalibrationConfig) -> CalibrationConfig:
+    """Leave the target of one stop of several open if the LiDAR that the user asks for is absent or sees nothing."""
+    if config.target in snapshot.names:
+        range_m = lengths(snapshot[config.target].points_m)
+        if np.any((range_m >= config.preprocess.min_range_m) & (range_m <= config.preprocess.max_range_m)):
+            return config
+    return config.model_copy(update={"target": ""})
 
 
 def preprocess_clouds(state: CalibrationState) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search between the views of different stops of a drive, and registration where other pairs tell their poses."""
 
+import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ from multilica.orchestration.pairs import (
 )
 from multilica.orchestration.stop_views import DriveStop, least_evidence, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
+from multilica.registration.widening import widened_along
 from multilica.results import (
     DriveView,
     Hypothesis,
@@ -45,6 +47,8 @@ _FAILURES_IF_DETERMINED = 0.5
 _FEW_PAIRS = 24
 # Each link needs another that confirms it. More improve poses that nothing but links tells.
 _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
+# Beside links that tell a pose to decimetres, this sigma tells nothing.
+_FREE_M = 1.0
 # Half of the least turn that a drive needs between two stops.
 _SAME_AXIS = float(np.cos(np.deg2rad(30.0)))
 
@@ -164,7 +168,7 @@ class LinkSearch:
             return
         self.share()
         self.loops_per_view = len(of_label)
-        self._register(implied, least_evidence(self.config), roughly=True)
+        self._register(implied, least_evidence(self.config), roughly=True, sliding=True)
         self._doubt_slid()
 
     def share(self) -> dict[DriveView, PreparedLidar]:
@@ -190,13 +194,19 @@ class LinkSearch:
             if not pairs or self._is_late(pairs):
                 break
             tried.update(pairs)
-            requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
             before = len(self.links)
-            for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
-                self.searched[pair] = search.registration
-                self._keep(pair, search.registration)
+            at_once = max(1, len(pairs) if math.isinf(self.deadline_s) else self.workers.processes)
+            for first in range(0, len(pairs), at_once):
+                if not self._is_late(pairs[first:]):
+                    self._search_now(pairs[first : first + at_once])
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
+
+    def _search_now(self, pairs: Sequence[PairKey]) -> None:
+        requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
+        for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
+            self.searched[pair] = search.registration
+            self._keep(pair, search.registration)
 
     def _is_late(self, pairs: Iterable[PairKey]) -> bool:
         """Return whether there is no time for pairs, and remember their stops then."""
@@ -209,6 +219,8 @@ class LinkSearch:
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""
         implied = {pair: pose for pair, pose in self._implied(self._graph()).items() if pair not in self.tested}
+        if self._is_late(implied):
+            return
         self.tested.update(implied)
         self.left_out |= self._register(implied)
 
@@ -227,11 +239,13 @@ class LinkSearch:
         least: float | None = None,
         *,
         roughly: bool = False,
+        sliding: bool = False,
     ) -> set[PairKey]:
         """Register the most promising pairs from their poses; return the others that have enough evidence.
 
         Args:
             roughly: the poses may be some decimetres off.
+            sliding: also keep those that slide, as weak links that tell nothing along that direction.
         """
         score, register = (score_roughly, register_roughly_implied) if roughly else (score_implied, register_implied)
         scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
@@ -240,7 +254,7 @@ class LinkSearch:
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
-                self._keep(pair, found)
+                self._keep(pair, _without_slide(found) if sliding else found)
         return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
 
     def _doubt_slid(self) -> None:
@@ -268,8 +282,16 @@ class LinkSearch:
         target, source = self._of_label[found.target], self._of_label[found.source]
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
-        is_weak = found.evidence < self.config.acceptance.min_evidence
+        is_weak = found.evidence < self.config.acceptance.min_evidence or "not_observable" in found.verdict.codes
         (self.weak if is_weak else self.links)[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _without_slide(found: PairRegistration) -> PairRegistration:
+    """Return a registration that is refused only because it slides as an uncertain one without that direction."""
+    if found.verdict.codes != ("not_observable",):
+        return found
+    freed = widened_along(found, found.registrations[0].visibility.weakest_direction, _FREE_M)
+    return replace(freed, verdict=Verdict("uncertain", found.verdict.reasons))
 
 
 def _slide_alike(one: ViewPair, other: ViewPair) -> bool:

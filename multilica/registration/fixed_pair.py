@@ -11,7 +11,7 @@ from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud, fitness_and_rmse, prepare_gicp_cloud, register
 from multilica.registration.plane_fit import fit_planes
 from multilica.registration.poses import arc_between_m, is_distinct, moved
-from multilica.registration.widening import widened, widened_with_biases
+from multilica.registration.widening import widened_along
 from multilica.results import BoolArray, PairRegistration
 
 # Matches as of the fit to planes; a sample is enough to see which share of them movable objects hold.
@@ -100,7 +100,7 @@ def without_movable(
         other = _other_end(target, clouds[1], pair.T_target_source, first, direction, config)
         if other is not None:
             off = other.offset_from(fit.pose) / _SCALE
-            found = _widened(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
+            found = widened_along(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
     return _free(found)
 
 
@@ -178,15 +178,6 @@ def _symmetric(matrix: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (matrix + matrix.T))
 
 
-def _widened(pair: PairRegistration, direction: FloatArray, off_m: float) -> PairRegistration:
-    of_biases = pair.bias_information
-    return replace(
-        pair,
-        information=widened(np.asarray(pair.information), direction, off_m),
-        bias_information=None if of_biases is None else widened_with_biases(of_biases, direction, off_m),
-    )
-
-
 def _free(pair: PairRegistration) -> PairRegistration:
     """Let the pose move like a car along the directions that little holds."""
     values, directions = np.linalg.eigh(np.asarray(pair.information) * np.outer(_SCALE, _SCALE))
@@ -195,5 +186,5 @@ def _free(pair: PairRegistration) -> PairRegistration:
     steps = [*free, *(_TURN * np.eye(6) if len(free) else ())]
     for step in steps:
         length = float(np.linalg.norm(step))
-        pair = _widened(pair, step / length, length * _MOTION_M)
+        pair = widened_along(pair, step / length, length * _MOTION_M)
     return pair

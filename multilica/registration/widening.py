@@ -33,13 +33,25 @@ def widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: fl
     return replace(after, information=information, spread=after.spread + np.outer(pulled, pulled))
 
 
+def widened_along(pair: PairRegistration, direction: FloatArray, off_m: float) -> PairRegistration:
+    """Return a registration whose pose has a further error of this standard deviation along a direction.
+
+    Args:
+        direction: (6,) as `VisibilityScore.weakest_direction`.
+    """
+    information, found = pair.information, pair.bias_information
+    return replace(
+        pair,
+        information=None if information is None else widened(information, direction, off_m),
+        bias_information=None if found is None else widened_with_biases(found, direction, off_m),
+    )
+
+
 def widened_everywhere(pair: PairRegistration, sigma_rad: float, sigma_m: float) -> PairRegistration:
     """Return a registration whose pose has further errors of these standard deviations about and along each axis."""
-    information, found = pair.information, pair.bias_information
     for direction, off_m in zip(np.eye(6), np.repeat([LEVER_ARM_M * sigma_rad, sigma_m], 3), strict=True):
-        information = None if information is None else widened(information, direction, off_m)
-        found = None if found is None else widened_with_biases(found, direction, off_m)
-    return replace(pair, information=information, bias_information=found)
+        pair = widened_along(pair, direction, off_m)
+    return pair
 
 
 def loosened(pair: PairRegistration, factor: float) -> PairRegistration:

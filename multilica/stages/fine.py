@@ -25,7 +25,7 @@ from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_informat
 from multilica.registration.poses import arc_between_m, is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.registration.stability import check_stability, perturbed_ends
-from multilica.registration.widening import widened, widened_with_biases
+from multilica.registration.widening import widened_along
 from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.plans import alike_hypotheses
@@ -346,15 +346,10 @@ class _Pair:
             fitted = self._fitted(by_gicp, _start_of(by_gicp.registrations[0])) if self.fit else by_gicp
         best = by_gicp.registrations[0]
         off_m, direction = stability.perturbed_offset_m, best.visibility.weakest_direction
-        information, of_biases = fitted.information, fitted.bias_information
-        if information is not None:
-            information = widened(information, direction, off_m)
-        if of_biases is not None:
-            of_biases = widened_with_biases(of_biases, direction, off_m)
-        sigma_m, sigma_rad = weakest_sigmas(information)
+        fitted = widened_along(fitted, direction, off_m)
+        sigma_m, sigma_rad = weakest_sigmas(fitted.information)
         stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
-        scored = replace(fitted.registrations[0], stability=stability)
-        return replace(fitted, information=information, bias_information=of_biases, registrations=(scored,))
+        return replace(fitted, registrations=(replace(fitted.registrations[0], stability=stability),))
 
     def _stability(
         self, by_gicp: PairRegistration, information: FloatArray | None

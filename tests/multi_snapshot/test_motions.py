@@ -131,6 +131,13 @@ def test_a_motion_that_contradicts_the_others_is_left_out():
     assert len(found.linked.links) == 2
 
 
+def test_one_odd_motion_of_three_leaves_the_others():
+    motions = _motions("ABC", np.random.default_rng(4), off=np.array([0.0, 0.0, 0.25, 1.3, 0.0, 0.0]))
+    found = _refined([], motions)
+    assert {each.lidar for each in found.motions if each.used} == {"A", "B"}
+    assert {*found.by_motions} == {"B"}
+
+
 def test_lidars_that_turn_differently_prove_nothing():
     """Nothing tells which of two is wrong, so none refuses a link."""
     motions = _motions("AB", np.random.default_rng(6), off=np.array([0.0, 0.0, 0.25, 1.3, 0.0, 0.0]))

@@ -10,7 +10,7 @@ from multilica import drive_calibration
 from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import trusted_links
-from multilica.multi_snapshot.common_ground import ground_pairs
+from multilica.multi_snapshot.common_ground import ground_pairs, ground_pairs_of, vertical_of
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.orchestration.links import FoundLinks
@@ -120,6 +120,18 @@ def test_the_ground_tells_height_roll_and_pitch(seen):
         assert offset @ information @ offset < 1e-9
         assert np.linalg.matrix_rank(information) == 3
     assert [each.source.lidar for each in ground_pairs(levels)] == [*seen[1:]]
+
+
+@pytest.mark.parametrize("posed", ["ABC", "BC", "AC", "B", ""])
+def test_the_ground_of_lidars_with_a_pose_counts_without_the_others(posed):
+    found = ground_pairs_of([*posed], ground_pairs(_LEVELS))
+    for each in found:
+        pair = each.registration
+        offset = (LIDARS[pair.target].inverse() @ LIDARS[pair.source]).offset_from(pair.T_target_source)
+        along_m = _LEVELS[pair.target].rotation[2]
+        assert offset @ np.asarray(pair.information) @ offset < 1e-9
+        np.testing.assert_allclose(np.abs(vertical_of(each) @ along_m), 1.0)
+    assert [(each.target.lidar, each.source.lidar) for each in found] == [(posed[0], name) for name in posed[1:]]
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 135.0, 170.0, 180.0])

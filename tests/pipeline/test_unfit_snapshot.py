@@ -5,6 +5,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.errors import UnfitSnapshotError, UnknownNameError
+from multilica.orchestration.clouds import without_blind_target
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -39,3 +40,17 @@ def test_fewer_than_two_lidars_with_returns_are_unfit(names, settings, message):
 def test_a_target_without_returns_is_unfit():
     with pytest.raises(UnfitSnapshotError, match=r"no returns of the target LiDAR 'left' .*another target: right, top"):
         calibrate(_snapshot("left", "right", "top", disturbances=("dead:left",)), CalibrationConfig(target="left"))
+
+
+@pytest.mark.parametrize(
+    ("names", "disturbances", "target"),
+    [
+        (("left", "right", "top"), (), "left"),
+        (("left", "right", "top"), ("dead:left",), ""),
+        (("right", "top"), (), ""),
+    ],
+    ids=["seen", "silent", "absent"],
+)
+def test_a_stop_without_returns_of_the_target_has_another_one(names, disturbances, target):
+    snapshot = _snapshot(*names, disturbances=disturbances)
+    assert without_blind_target(snapshot, CalibrationConfig(target="left")).target == target

@@ -117,6 +117,30 @@ def test_two_wrong_poses_show_no_symmetry():
     assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG) == pairs
 
 
+@pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
+@pytest.mark.parametrize(("violate", "possible"), [(0, True), (90, False)])
+def test_joined_lidars_stand_in_the_same_hall(joined, violate, possible):
+    """The pair that sees the symmetry has no LiDAR of the doubted pair; another one joins them."""
+    away, there = pose("a", "d", (0.5, -0.4, 0.0), -1.0), pose("d", "e", (-1.0, 0.2, 0.0), 0.3)
+    pairs = [_symmetric(), registered(there), *([registered(away, distinctive=5000)] if joined else [])]
+    right = away.inverse() @ _SYMMETRY @ away @ there
+
+    def score(at):
+        return scored(at, 0, violate=violate if at.distance_to(right)[0] < 0.1 else 90)
+
+    after = check_scene_symmetry(pairs, score, _turned(), _CONFIG)
+    assert (after[1].verdict.outcome == "undecided") is (joined and possible)
+    if joined and possible:
+        assert after[1].competing.T_target_source.distance_to(right) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_a_repetition_that_other_lidars_see_doubts_no_pair():
+    away, there = pose("a", "d", (0.5, -0.4, 0.0), -1.0), pose("d", "e", (-1.0, 0.2, 0.0), 0.3)
+    pairs = [_symmetric(pose("a", "a", (6.0, 0.0, 0.0))), registered(there), registered(away)]
+    after = check_scene_symmetry(pairs, lambda at: scored(at, 550), _turned(), _CONFIG)
+    assert after[1] is pairs[1]
+
+
 @pytest.mark.parametrize(
     ("distinctive", "confirmed", "doubted"), [(550, False, True), (0, False, False), (550, True, False)]
 )

@@ -252,6 +252,30 @@ def test_only_pairs_of_uncertain_lidars_are_registered():
     assert len(found.weak) == 3
 
 
+@pytest.mark.parametrize(
+    ("codes", "count"), [(("not_observable",), 4), (("not_observable", "ambiguous"), 0), (("ambiguous",), 0)]
+)
+@pytest.mark.usefixtures("registered")
+def test_links_that_slide_count_without_that_direction(monkeypatch, codes, count):
+    made, poses = link_search.register_roughly_implied, _poses(*_VIEWS)
+    slide = np.array([0.0, 0.0, 0.0, 0.6, 0.8, 0.0])
+    verdict = Verdict("undecided", tuple(Reason(code, 0.3, 0.15, "it slides") for code in codes))
+
+    def sliding(shared, start):
+        best = SimpleNamespace(evidence=9.0, visibility=SimpleNamespace(weakest_direction=slide))
+        found = made(shared, start)
+        return replace(found, verdict=verdict, registrations=(best,), information=1e6 * np.eye(6))
+
+    monkeypatch.setattr(link_search, "register_roughly_implied", sliding)
+    found = links.follow_poses(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), poses, _BOTH)
+    assert found.links == ()
+    assert len(found.weak) == count
+    for link in found.weak:
+        sigmas = np.sqrt(np.linalg.eigvalsh(np.linalg.inv(link.registration.information)))
+        assert sigmas == pytest.approx([1e-3] * 5 + [1.0], rel=1e-3)
+        assert link.counts
+
+
 @pytest.mark.usefixtures("registered")
 def test_views_without_a_common_target_are_not_linked():
     poses = _poses(_FRONT) | _poses(DriveView("front", "stop 2"), target="stop 2")
@@ -271,6 +295,25 @@ def test_nothing_is_registered_after_the_time_limit(monkeypatch):
     found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), lambda: [motion], 0.0)
     assert found.motions == [motion]
     assert not found.links
+    assert found.not_reached == (("stop 1", "stop 2"),)
+
+
+def test_a_search_ends_between_two_pairs_at_the_limit(monkeypatch):
+    searched = []
+
+    def made(_, request):
+        searched.append(request.pair)
+        return SimpleNamespace(registration=None)
+
+    monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
+    monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(link_search, "with_movable", lambda *_: {})
+    monkeypatch.setattr(link_search, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(link_search, "next_round", lambda _, __, tried, priority: sorted({*priority} - tried))
+    monkeypatch.setattr(link_search, "search_pair", made)
+    monkeypatch.setattr(link_search, "time", SimpleNamespace(monotonic=lambda: float(len(searched))))
+    found = links.search_links(_STOPS, CalibrationConfig(), Workers(), deadline_s=2.0)
+    assert len(searched) == 2
     assert found.not_reached == (("stop 1", "stop 2"),)
 
 
