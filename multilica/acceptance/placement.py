@@ -25,7 +25,7 @@ from multilica.results import (
 )
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.results.registrations import weakest_deviations
-from multilica.results.values import COVERED, OPEN_POSE
+from multilica.results.values import BY_CONTRADICTING, COVERED, OPEN_POSE
 from multilica.visibility.sensor_view import ScorePose
 
 # Movable objects hold a pose if its standard deviation grows by this factor without them.
@@ -202,7 +202,7 @@ def _why_not_in(
         return f"{snapshot}: its pose is {by}, {own.distance_m:.3f} m and {own.angle_deg:.2f} deg away"
     if conflicts:
         inconsistent = ", ".join(conflict.lidars[0] for conflict in conflicts)
-        return f"{snapshot}: connected through pairs that contradict other snapshots on {inconsistent}"
+        return f"{snapshot}: {BY_CONTRADICTING} on {inconsistent}"
     return f"{snapshot}: {alone.status} relative to {result.target}, but no accepted pair connects it to {target}"
 
 

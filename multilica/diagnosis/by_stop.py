@@ -12,15 +12,17 @@ from multilica.results.document import ResultDocument, StopEntry
 from multilica.results.stops import StopLink
 
 _ENOUGH_TURN_DEG = 60.0
-_SENSOR_FAULTS = ("dead_sensor", "no_returns_in_range")
+_OTHER_CAUSES = ("dead_sensor", "no_returns_in_range", "disputed")
 
 
 def explained_by_stop(document: ResultDocument, missing: Missing) -> Missing:
     """Add which stops see the LiDAR linked with others, and what helps; unchanged where no drive was calibrated."""
     sources = {each.sha256 for each in document.snapshots}
     of_one_log = document.config.drive.stops != 1 and len(sources) == 1 and "" not in sources
-    if not (document.links or of_one_log) or missing.cause in _SENSOR_FAULTS:
+    if not (document.links or of_one_log) or missing.cause in _OTHER_CAUSES:
         return missing
+    if missing.cause == "out_of_time":
+        return replace(missing, by_stop="Not all links with other stops were sought.")
     own = [link for link in document.links if missing.lidar in (link.target, link.source)]
     turn_deg = _largest_turn_deg(document.stops)
     told = " ".join(_known(document, missing.lidar, own, turn_deg))

@@ -22,7 +22,7 @@ from multilica.diagnosis.explanation import (
 )
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 from multilica.results.stages import VerifyFigures
-from multilica.results.values import COVERED, OPEN_POSE
+from multilica.results.values import BY_CONTRADICTING, COVERED, ONLY_MOTION, OPEN_POSE
 
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
@@ -223,6 +223,8 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
     headline = f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}."
     why, _, covered = document.lidars[name].reason.partition(f"; {COVERED} ")
     cause = "two_places" if covered else "uncertain"
+    if why.startswith(ONLY_MOTION):
+        headline, cause = f"{name} is uncertain: {why.rstrip('.')}.", "by_motion"
     if document.lidars[name].held_by_movable:
         cause = "held_by_movable"
         headline = f"{headline} {why.rstrip('.').capitalize()}."
@@ -250,9 +252,9 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     fault, next_best = _sensor_fault(document, name), next_best_sentence(pairs)
     limit = document.time_limit
     out_of_time = limit is not None and (bool(limit.unlinked_stops) or any(name in pair for pair in limit.not_reached))
-    if document.snapshots and not codes:
+    disputed = _is_disputed(document, name)
+    if document.snapshots and (disputed or not codes):
         # The pairs are those of one snapshot, so an accepted one decides nothing.
-        disputed = any(snapshot.disputed for snapshot in document.snapshots)
         unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
         unplaced = "out_of_time" if out_of_time else unplaced
         by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
@@ -269,6 +271,12 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     # The faults of pairs may follow from that of the sensor.
     cause = fault or ("no_overlap" if decisive is None else cause_of_codes(codes))
     return _missing_by(document, name, cause, decisive, next_best)
+
+
+def _is_disputed(document: ResultDocument, name: str) -> bool:
+    """Return whether snapshots contradict each other on the LiDAR, or on one that connects it to the target."""
+    disputed = any(name in snapshot.disputed for snapshot in document.snapshots)
+    return disputed or BY_CONTRADICTING in document.lidars[name].reason
 
 
 def _missing_open(document: ResultDocument, name: str) -> Missing:

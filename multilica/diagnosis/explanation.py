@@ -57,6 +57,11 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
         _OTHER_PLACE,
         _TOGETHER,
     ),
+    "by_motion": (
+        "only its motion between the stops tells its pose",
+        "a stop where it sees what another LiDAR saw at another stop",
+        "turn by 60 degrees or more between two stops",
+    ),
     "unexplained": (
         "its best pose is too unlikely: surfaces do not match, or it is far off (a chance agreement)",
         _MORE_OVERLAP,

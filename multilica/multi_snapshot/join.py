@@ -42,9 +42,9 @@ from multilica.results import (
     ViewPair,
 )
 from multilica.results.placements import LEAST_PROBABILITY
+from multilica.results.values import ONLY_MOTION
 from multilica.stages.refine import RefinedRig
 
-_BY_MOTIONS = "only its motion between the stops and the ground tell its pose"
 _BY_GROUND = "only the ground tells its height"
 
 
@@ -342,7 +342,7 @@ class _JointRig:
             return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")
         sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
         along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
-        told_by = _BY_GROUND if lidar in self.rig.covariances else _BY_MOTIONS
+        told_by = _BY_GROUND if lidar in self.rig.covariances else ONLY_MOTION
         reason = f"{told_by}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
         return replace(found, status="uncertain", reason=reason)
 

@@ -31,6 +31,12 @@ OPEN_POSE = "the scene leaves its pose open in one direction"
 COVERED = "sigma covers that"
 """A contradiction follows these words in the reason of a LiDAR whose covariance is wider for it."""
 
+ONLY_MOTION = "only its motion between the stops and the ground tell its pose"
+"""Begins the reason of a LiDAR that no pair and no link places."""
+
+BY_CONTRADICTING = "connected through pairs that contradict other snapshots"
+"""The LiDARs on which they do follow these words in the reason of a LiDAR."""
+
 
 def _plain(value: Any) -> Any:  # noqa: ANN401
     """Return an array as lists, and None for a number, or for an array with a number, that is not finite."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from multilica.config import CalibrationConfig
-from multilica.diagnosis import explain
+from multilica.diagnosis import CAUSES, explain
 from multilica.geometry import RigidTransform
-from multilica.results import Knock, SnapshotReport, StopLink
+from multilica.results import Knock, SnapshotReport, StopLink, TimeLimit
 from multilica.results.building import result_document
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.page import report_html
@@ -55,6 +55,12 @@ def test_a_lidar_that_no_stop_links_needs_sight_of_another():
     assert missing.advice[0] == SIGHT
     assert f"By stop: {missing.by_stop}" in missing.details
     assert f"What helps: {SIGHT}." in missing.details
+
+
+def test_a_lidar_without_time_for_its_links_needs_time():
+    missing = missing_of(pairs=(), time_limit=TimeLimit(1.0, (), (("stop_2", "stop_3"),)))
+    assert (missing.cause, missing.by_stop) == ("out_of_time", "Not all links with other stops were sought.")
+    assert missing.advice == CAUSES["out_of_time"][1:]
 
 
 def test_a_straight_drive_has_to_turn():

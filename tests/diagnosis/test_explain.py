@@ -267,13 +267,21 @@ def test_joint_run_takes_the_pair_of_the_shown_snapshot(partial):
     assert not missing.by_snapshot
 
 
-@pytest.mark.parametrize(("disputed", "cause"), [(("rear",), "disputed"), (("top",), "disputed"), ((), "not_joined")])
+@pytest.mark.parametrize(("disputed", "cause"), [(("rear",), "disputed"), (("top",), "not_joined"), ((), "not_joined")])
 def test_of_several_snapshots_an_accepted_pair_decides_nothing(partial, disputed, cause):
     set_reasons(partial, "accept")
     missing = missing_of(jointly(partial, *disputed))
     assert (missing.cause, missing.decisive, missing.next_best) == (cause, None, "")
     assert missing.by_snapshot == "monday and tuesday place it 0.300 m apart."
     assert "  By snapshot: monday and tuesday place it 0.300 m apart." in explain(partial).lines
+
+
+def test_snapshots_that_contradict_each_other_come_before_a_refused_pair(partial):
+    set_reasons(partial, "undecided", "ambiguous")
+    assert missing_of(jointly(partial, "rear")).cause == "disputed"
+    reason = "monday: connected through pairs that contradict other snapshots on top"
+    missing = missing_of(jointly(partial, "top", reason=reason))
+    assert (missing.cause, missing.by_snapshot) == ("disputed", f"{reason}.")
 
 
 def test_lidar_missing_in_the_shown_snapshot_is_not_dead(partial):
