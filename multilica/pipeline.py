@@ -21,7 +21,7 @@ from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState, deadline_of
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
-from multilica.stages.known_poses import require_usable_prior, require_usable_rig
+from multilica.stages.known_poses import require_free_base, require_usable_prior, require_usable_rig
 from multilica.workers import Workers
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
@@ -62,14 +62,15 @@ def calibrate(
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
         UnknownNameError: the snapshot has no LiDAR of the target's name.
-        UsageError: the prior lacks two of the LiDARs, or verification is off, so that nothing could check it; the rig
-            lacks the base frame or a LiDAR that may become the target.
+        UsageError: a LiDAR has the name of the base frame; the prior lacks two of the LiDARs, or verification is off,
+            so that nothing could check it; the rig lacks the base frame or a LiDAR that may become the target.
     """
     config = config or CalibrationConfig()
     clouds.require_libraries(config)
     clouds.require_two_lidars(snapshot)
     if config.target:
         snapshot[config.target]
+    require_free_base(snapshot, config)
     if prior is not None:
         require_usable_prior(prior, snapshot, config)
     if rig is not None:

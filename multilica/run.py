@@ -45,7 +45,7 @@ from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
-from multilica.stages.known_poses import require_usable_prior, require_usable_rig
+from multilica.stages.known_poses import require_free_base, require_usable_prior, require_usable_rig
 from multilica.workers import Workers
 
 
@@ -217,6 +217,7 @@ def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> Tak
     require_calibratable(snapshot)
     if config.target:
         snapshot[config.target]
+    require_free_base(snapshot, config)
     observe(events.StageFinished("ingest", time.perf_counter() - start_s))
     for note in snapshot.notes:
         observe(events.InputNoted(note))

@@ -301,6 +301,10 @@ def _own_base(document: ResultDocument, base: str | None, *, with_uncertain: boo
     ground = document.ground
     if ground is None or (ground.T_base_target_rig is None if base is None else base != ground.frame):
         return None
+    if ground.frame in document.lidars:
+        raise UsageError(
+            f"The base frame '{ground.frame}' of the run has the name of a LiDAR; calibrate again with another --base."
+        )
     if ground.doubt and not with_uncertain:
         raise InputError(
             f"The base frame '{ground.frame}' of the run is uncertain: {ground.doubt}; give --with-uncertain, or "

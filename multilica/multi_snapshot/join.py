@@ -336,7 +336,7 @@ class _JointRig:
     def _by_motions(self, told: ToldPose) -> LidarPlacement:
         """Return the pose that motions tell, which is uncertain at best."""
         lidar = told.T_root_lidar.source
-        found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
+        found = place(told.T_root_lidar, told.covariance, self.limits, fitness=float("nan"))
         if found.T_target_source is None:
             why = self._why_unplaced(lidar).removesuffix(".")
             return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")

@@ -14,9 +14,18 @@ from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.orchestration.rig import ground_under
 from multilica.orchestration.stop_views import DriveStop
-from multilica.results import CalibrationResult, DriveView, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
+from multilica.results import (
+    LEVEL_FRAME,
+    CalibrationResult,
+    DriveView,
+    GroundPlane,
+    PreprocessedCloud,
+    Refinement,
+    SnapshotReport,
+)
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import preprocess
@@ -76,7 +85,11 @@ def replay(
                 ground, reason = ground_under(shown, result.target, points_m, result.poses, config, rig, biases)
                 refusal = "" if ground else reason
                 observe(events.GroundEstimated(ground, reason))
-    level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, result.poses, config)
+    level = (
+        estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, result.poses, config)
+        if ground is None
+        else RigidTransform(LEVEL_FRAME, result.target, ground.T_base_target.matrix)
+    )
     result = replace(result, ground=ground, ground_refusal=refusal, level=level)
     observe(events.CalibrationFinished(result))
     return result

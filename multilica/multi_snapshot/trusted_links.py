@@ -8,7 +8,6 @@ from itertools import combinations
 from types import MappingProxyType
 
 from multilica.acceptance.consistency import most_contradicting
-from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
@@ -20,9 +19,10 @@ from multilica.multi_snapshot.motions import (
     links_off_course,
     poses_by_motions,
 )
+from multilica.multi_snapshot.odd_links import odd_links
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
-from multilica.registration.poses import is_distinct, is_near
+from multilica.registration.poses import is_near
 from multilica.registration.widening import loosened
 from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
 from multilica.results.registrations import weakest_deviations
@@ -37,7 +37,9 @@ _TOLD_M = 0.3
 _ALONE_IN_PLACE = 2.0
 _ALONE = "no other link confirms it"
 _ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
-_ALIKE = "links contradict each other, so the place looks like another one"
+_ODD = "all other links put it elsewhere"
+_APART = "links contradict each other, so the place looks like another one"
+_ALIKE = "stops contradict each other, so the place looks like another one"
 _CONTRADICTED = "it contradicts other links and pairs"
 _OFF_COURSE = "the motion of the LiDARs between the stops contradicts it, so the place looks like another one"
 
@@ -116,12 +118,13 @@ def refine_linked(
 
     Two places may look alike, and between stops no limit of distance helps. So a link counts only where the other links
     and the pairs within the stops imply its pose as well: by another link between the same stops, or by a cycle over
-    stops. A link that is far from the others shows that the place looks like another, and none counts. One that
-    differs by more than the covariances allow goes, the least probable first.
+    stops. A link that is far from the others shows that the place looks like another, and none counts, unless many
+    others agree after a turn. One that differs by more than the covariances allow goes, the least probable first.
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
     contradicts their beams at other stops, and no link of that drive counts. Nor does one if links put two LiDARs
-    farther apart than any two of one vehicle are.
+    farther apart than any two of one vehicle are. If a pair within a stop tells that pose, it goes instead, and links
+    are compared without it.
 
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
@@ -140,11 +143,8 @@ def refine_linked(
     left = [link for link in links if link.counts]
     grounds = ground_pairs(levels)
     agreeing, course = agreeing_motions(root, within, motions)
-    refused.update(dict.fromkeys(links_off_course(course, left), _OFF_COURSE))
-    left = [link for link in left if link not in refused]
-    if looks_alike or _are_far_apart(within, left):
-        refused.update(dict.fromkeys(left, _ALIKE))
-        left = []
+    left = _refuse(dict.fromkeys(links_off_course(course, left), _OFF_COURSE), refused, left)
+    left = _refuse(dict.fromkeys(left, _ALIKE) if looks_alike else _far(root, within, left), refused, left)
     while True:
         solution = solve_views(root, [*within, *left], grounds)
         followed = solve_views(root, [*within, *left, *agreeing], grounds) if agreeing and left else solution
@@ -173,12 +173,14 @@ def refine_linked(
             against = _conflict(rig, within, contradiction_at, moved, max_baseline_m if left else math.inf)
             if against is None:
                 break
-            if left:
+            contradicted.append(against)
+            if left and not _is_of_stops(against, within):
                 refused.update(dict.fromkeys(left, against.text))
                 left = []
-            else:
-                within = _without(within, against)
-            contradicted.append(against)
+                continue
+            within = _without(within, against)
+            left = [*left, *_restored(refused)]
+            left = _refuse(_far(root, within, left), refused, left)
             continue
         worst = linked.links[rig.links.index(most_contradicting(doubtful))]
         refused[worst] = _CONTRADICTED
@@ -219,6 +221,26 @@ def _refused(links: Sequence[ViewPair], moved: set[DriveView]) -> dict[ViewPair,
     return {**{link: link.registration.verdict.text for link in undecided}, **dict.fromkeys(elsewhere, _ELSEWHERE)}
 
 
+def _refuse(found: Mapping[ViewPair, str], refused: dict[ViewPair, str], links: Sequence[ViewPair]) -> list[ViewPair]:
+    """Add what was found to the refused links, and return the others."""
+    refused.update(found)
+    return [link for link in links if link not in refused]
+
+
+def _far(root: str, within: Sequence[ViewPair], links: Sequence[ViewPair]) -> dict[ViewPair, str]:
+    """Return the links that are far from the others, or all if nothing tells which are wrong, with the reason."""
+    odd = odd_links(root, within, links)
+    return dict.fromkeys(links, _APART) if odd is None else dict.fromkeys(odd, _ODD)
+
+
+def _restored(refused: dict[ViewPair, str]) -> list[ViewPair]:
+    """Take the links that a wrong pair may have refused out of the refused ones, and return them."""
+    found = [link for link, reason in refused.items() if reason in (_ALONE, _CONTRADICTED, _ODD, _APART)]
+    for link in found:
+        del refused[link]
+    return found
+
+
 def _conflict(
     rig: RefinedRig,
     within: Sequence[ViewPair],
@@ -244,6 +266,11 @@ def _conflict(
     return None
 
 
+def _is_of_stops(conflict: RigConflict, within: Sequence[ViewPair]) -> bool:
+    """Return whether pairs within stops alone put the two LiDARs where they cannot be."""
+    return conflict.source in connected(conflict.target, [pair.registration for pair in within])
+
+
 def _is_told(covariance: FloatArray) -> bool:
     sigma_m, sigma_rad = weakest_deviations(covariance)
     return max(sigma_m, LEVER_ARM_M * sigma_rad) < _TOLD_M
@@ -261,24 +288,3 @@ def _without(within: Sequence[ViewPair], conflict: RigConflict) -> list[ViewPair
 
 def _described(link: ViewPair) -> StopLink:
     return StopLink(*link.target, *link.source, link.registration.evidence, used=False)
-
-
-def _views(within: Sequence[ViewPair], links: Sequence[ViewPair]) -> list[DriveView]:
-    return sorted({view for pair in (*within, *links) for view in pair.views})
-
-
-def _implied(
-    link: ViewPair, within: Sequence[ViewPair], links: Sequence[ViewPair], views: Sequence[DriveView]
-) -> RigidTransform | None:
-    """Return the pose of a link that follows from the others."""
-    others = [other for other in links if other is not link]
-    pose = ViewGraph.of(views, [*within, *others]).implied(link.target, link.source)
-    known = link.registration.T_target_source
-    return None if pose is None else RigidTransform(known.target, known.source, pose.matrix)
-
-
-def _are_far_apart(within: Sequence[ViewPair], links: Sequence[ViewPair]) -> bool:
-    """Return whether a link is far from where the others put it: of two such places, one looks like the other."""
-    views = _views(within, links)
-    poses = [(link, _implied(link, within, links, views)) for link in links]
-    return any(pose is not None and is_distinct(pose, [link.registration.T_target_source]) for link, pose in poses)

@@ -40,19 +40,28 @@ def known_in_base(rig: Extrinsics, base: str, lidar: LidarScans) -> RigidTransfo
     return None if frame is None else RigidTransform(base, lidar.name, rig.between(base, frame).matrix)
 
 
+def require_free_base(snapshot: Snapshot, config: CalibrationConfig) -> None:
+    """Refuse a name of the base frame that a LiDAR has: the base would be a part of its own tree of frames.
+
+    Raises:
+        UsageError: a LiDAR has it.
+    """
+    base = config.ground.frame
+    if config.ground.enabled and base in snapshot.names:
+        raise UsageError(f"The base frame '{base}' has the name of a LiDAR; choose another name (--base).")
+
+
 def require_usable_rig(rig: Extrinsics, snapshot: Snapshot, config: CalibrationConfig) -> None:
     """Refuse a rig without the base frame, or without a LiDAR that may become the target.
 
     Raises:
         UnknownNameError: it lacks the base frame.
-        UsageError: it lacks a LiDAR, or a LiDAR has the name of the base frame.
+        UsageError: it lacks a LiDAR.
         InputError: a joint between them moves, or the lengths are no metres.
     """
     base = config.ground.frame
     if base not in rig.members:
         raise UnknownNameError("frame", base, rig.members, "the rig file")
-    if base in snapshot.names:
-        raise UsageError(f"The base frame '{base}' has the name of a LiDAR; expected another frame of the rig file.")
     candidates = [snapshot[config.target]] if config.target else snapshot.lidars
     for lidar in candidates:
         if (pose := known_in_base(rig, base, lidar)) is None:

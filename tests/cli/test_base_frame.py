@@ -81,6 +81,13 @@ def test_wrong_rigs_get_a_sentence(
     assert not Path("run").exists()
 
 
+def test_a_base_with_the_name_of_a_lidar_gets_a_sentence(invoke: Invoke, two_lidars: Path) -> None:
+    outcome = invoke("calibrate", two_lidars, "--base", "right", "--out", "run", "--quiet")
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert "The base frame 'right' has the name of a LiDAR; choose another name (--base)." in outcome.err
+    assert not Path("run").exists()
+
+
 @pytest.mark.slow
 def test_no_ground_is_told_with_its_own_code(invoke: Invoke, two_lidars: Path) -> None:
     for lidar in ("left", "right"):

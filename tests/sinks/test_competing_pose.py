@@ -14,6 +14,7 @@ from multilica.config import AcceptanceConfig, CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.results import BeamLabel, PairRegistration, PreprocessedCloud, Reason, Registration, Verdict
 from multilica.results import visibility_score as visibility
+from multilica.sinks.report import figures as report_figures
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.run_state import RunState
@@ -101,6 +102,17 @@ def test_the_report_draws_both_poses(hall):
     assert f"{other.agree:,} points agree" in figures[1].caption
     labels = np.concatenate([other.labels, other.target_labels])
     assert np.count_nonzero(labels == BeamLabel.AGREE) == other.agree > 0
+
+
+@pytest.mark.parametrize(("rank", "words"), [(1, "the next best pose"), (2, "the competing pose")])
+def test_only_the_second_pose_by_evidence_is_the_next_best(hall, monkeypatch, rank, words):
+    contents = contents_of(hall)
+    chosen, other = (each.T_target_source for each in contents.scored["hall", "back"])
+    ranked = [chosen, RigidTransform.from_xyz_rpy("hall", "back", (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+    ranked.insert(rank, other)
+    monkeypatch.setattr(report_figures, "finalists", lambda _: ranked)
+    drawn = pair_figures(contents, ("hall", "back"))
+    assert drawn[1].caption.startswith(f"back on hall at {words}, from above")
 
 
 def test_the_picture_of_lidars_without_common_view_says_so(hall):

@@ -313,8 +313,16 @@ def pair_figures(contents: ReportContents, pair: PairKey) -> list[Figure]:
     scored = contents.scored.get(pair, ())
     entry = next((one for one in contents.document.pairs if one.key == pair), None)
     own = [] if entry is None else finalists(entry)
-    next_best = any(max(pose.distance_to(one.T_target_source)) < SAME_POSE for one in scored[1:] for pose in own)
-    words = ("at the best pose", "at the next best pose" if next_best else "at a competing pose that other pairs imply")
+    ranks = [
+        rank
+        for one in scored[1:2]
+        for rank, pose in enumerate(own)
+        if max(pose.distance_to(one.T_target_source)) < SAME_POSE
+    ]
+    other = "at a competing pose that other pairs imply"
+    if ranks:
+        other = "at the next best pose" if ranks[0] == 1 else "at the competing pose"
+    words = ("at the best pose", other)
     if entry is not None and entry.verdict.accepted:
         words = ("at the pose of this pair", "at the pose that another accepted pair implies")
     return [_pair_figure(contents, one, how) for one, how in zip(scored, words, strict=False)]

@@ -103,7 +103,9 @@ def _context(contents: ReportContents) -> dict[str, Any]:
             "occluded: no evidence": hex_colour(OCCLUDED),
         },
         "refused": refused_poses(contents),
-        "points_total": sum(len(cloud) for cloud in contents.clouds.values()),
+        "points_total": sum(
+            max(len(cloud), _points_of(document, name)) for name, cloud in contents.clouds.items() if len(cloud)
+        ),
         "graph_size": _GRAPH_SIZE,
         "places": _graph_places(contents.document.lidars),
         "edges": [(pair, _edge(pair, merged=pair.names in merged)) for pair in document.pairs],
@@ -120,6 +122,12 @@ def _context(contents: ReportContents) -> dict[str, Any]:
         "map_size": SIZE_PX,
         "links_of": links_of(document),
     }
+
+
+def _points_of(document: ResultDocument, lidar: str) -> int:
+    """Return the number of points of a LiDAR after preprocessing, of its returns before that."""
+    cleaned = None if document.stages is None else (document.stages.preprocess or {}).get(lidar)
+    return document.input.lidars[lidar].points if cleaned is None else cleaned.points
 
 
 def _pair_figures(contents: ReportContents, missing: Sequence[Missing]) -> dict[str, list[Figure]]:

@@ -35,6 +35,7 @@ from multilica.sinks.rerun.scene import (
 )
 from multilica.sinks.text.log_lines import LogLine, pair_label
 from multilica.sinks.text.markdown import decisions_markdown, markdown_table
+from multilica.snapshot import LidarScans
 
 _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving": UNDECIDED}
 _AXIS_LENGTH_M = 1.0
@@ -51,6 +52,8 @@ _NODE_RADIUS = 12.0
 _LABEL_RADIUS = 4.0
 _CIRCLE_RADIUS = 160.0
 _SURE_LINE, _UNCERTAIN_LINE = 0.5, 2.0
+# Enough to see what a refused snapshot shows.
+_REFUSED_POINTS = 5000
 
 
 def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
@@ -68,8 +71,19 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
         points_m, limit = lidar.points_m, scene.limits.raw_points
         if len(points_m) > limit:
             scene.log_line(LogLine("INFO", f"{lidar.name}: {limit:,} of {len(points_m):,} raw points are recorded"))
-        path, frame = lidar_path(lidar.name, "raw"), lidar_frame(lidar.name)
-        scene.log_points(path, frame, points_m, scene.colour(lidar.name), limit)
+        _log_raw(scene, lidar, limit)
+
+
+def log_refused(scene: RerunScene) -> None:
+    """Log some raw points of a refused snapshot, which has no other clouds, if none were logged."""
+    if scene.limits.raw_points == 0 and scene.state.snapshot is not None:
+        for lidar in scene.state.snapshot.lidars:
+            _log_raw(scene, lidar, _REFUSED_POINTS)
+
+
+def _log_raw(scene: RerunScene, lidar: LidarScans, limit: int) -> None:
+    path, frame = lidar_path(lidar.name, "raw"), lidar_frame(lidar.name)
+    scene.log_points(path, frame, lidar.points_m, scene.colour(lidar.name), limit)
 
 
 def _name_pole_m(index: int, *, top: bool = False) -> Float32Array:

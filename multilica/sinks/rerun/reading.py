@@ -64,14 +64,15 @@ def read_recorded_document(path: Path) -> ResultDocument:
 
 
 def read_recorded_clouds(path: Path, lidars: Sequence[str]) -> dict[str, npt.NDArray[np.float32]]:
-    """Read the preprocessed points (N, 3) of LiDARs, each in its own frame; none if the recording has none.
+    """Read the points (N, 3) of LiDARs, each in its own frame: preprocessed, else raw; none if there are none.
 
     Raises:
         UnreadableSourceError: no recording, or a damaged one.
     """
-    places = {lidar: lidar_path(lidar, "preprocessed") for lidar in lidars}
-    found = read_batches(path, list(places.values()))
-    return {lidar: _points_m(_cells(found[place], _POSITIONS)) for lidar, place in places.items()}
+    places = {lidar: [lidar_path(lidar, kind) for kind in ("preprocessed", "raw")] for lidar in lidars}
+    found = read_batches(path, [place for both in places.values() for place in both])
+    cells = {lidar: [_cells(found[place], _POSITIONS) for place in both] for lidar, both in places.items()}
+    return {lidar: _points_m(cleaned or raw) for lidar, (cleaned, raw) in cells.items()}
 
 
 def read_recorded_scores(path: Path, pairs: Sequence[PairKey]) -> dict[PairKey, RecordedScores]:

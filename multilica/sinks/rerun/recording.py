@@ -30,6 +30,7 @@ from multilica.sinks.rerun.lidars import (
     log_movable,
     log_outcome,
     log_preprocessed,
+    log_refused,
     log_residuals,
 )
 from multilica.sinks.rerun.scene import RerunScene, limits_for
@@ -169,6 +170,8 @@ def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
 
 
 def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
+    if event.result.refusal is not None:
+        log_refused(scene)
     log_outcome(scene)
     pairs.log_contested_places(scene)
     log_data_tables(scene)

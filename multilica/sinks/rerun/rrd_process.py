@@ -94,13 +94,13 @@ def _batches(path: Path, entities: frozenset[str]) -> list[tuple[str, Any]]:
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="RRD file has no footer")
-        with _whole_part(path) as whole:
+        with whole_part(path) as whole:
             chunks = RrdReader(whole).stream().to_chunks()
     return [(chunk.entity_path, chunk.to_record_batch()) for chunk in chunks if chunk.entity_path in entities]
 
 
 @contextmanager
-def _whole_part(path: Path) -> Iterator[Path]:
+def whole_part(path: Path) -> Iterator[Path]:
     """Provide a file with all complete messages of a recording: the file itself if it was not cut off.
 
     A file that is no recording is provided as it is, and the reader refuses it.

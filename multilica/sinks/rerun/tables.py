@@ -228,10 +228,11 @@ def _known(value: object) -> object:
 
 
 def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
-    found, coarse = state.registrations.get(pair), state.coarse.get(pair)
-    hypotheses = 0 if coarse is None else len(coarse.hypotheses)
-    row: dict[str, object] = {"target": pair[0], "source": pair[1], "matches": len(state.matches.get(pair, ()))}
-    row |= {"hypotheses": hypotheses, "pose_from": "", "verdict": "no pose", "reasons": ""}
+    found, coarse, matches = state.registrations.get(pair), state.coarse.get(pair), state.matches.get(pair)
+    row: dict[str, object] = {"target": pair[0], "source": pair[1]}
+    row |= {"matches": None if matches is None else len(matches)}
+    row |= {"hypotheses": None if coarse is None else len(coarse.hypotheses)}
+    row |= {"pose_from": "", "verdict": "no pose", "reasons": ""}
     if found is not None:
         pose, reasons = found.T_target_source.with_target(pair[0]), ",".join(found.verdict.codes)
         row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, "reasons": reasons, **found.figures}

@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING
 
 from multilica.errors import ViewerError
 from multilica.scratch import scratch_folder
+from multilica.sinks.rerun.rrd_process import whole_part
 from multilica.system_libraries import apt_command
 
 if TYPE_CHECKING:
@@ -46,8 +47,8 @@ def show_recording(recording: Path) -> None:
             f"Cannot open {recording} in a window: neither DISPLAY nor WAYLAND_DISPLAY is set; write a picture with "
             "--png FILE, or open the file with `rerun` on a machine with a screen."
         )
-    with _environment() as environment:
-        command = [*_COMMAND, *_LOOPBACK, str(recording)]
+    with whole_part(recording) as whole, _environment() as environment:
+        command = [*_COMMAND, *_LOOPBACK, str(whole)]
         code = subprocess.run(command, env=environment, check=False).returncode  # noqa: S603
     if code != 0:
         raise ViewerError(
@@ -87,8 +88,8 @@ def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
         ViewerError: the viewer does not start (no Vulkan driver), or does not finish drawing.
     """
     try:
-        with _headless_viewer(size_px) as viewer:
-            viewer.open(str(recording.resolve()))
+        with whole_part(recording) as whole, _headless_viewer(size_px) as viewer:
+            viewer.open(str(whole.resolve()))
             for _ in _polls(0.1):
                 if any(one.timelines for one in viewer.get_state().recordings):
                     return _settled_picture(viewer, recording)

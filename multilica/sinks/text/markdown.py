@@ -56,8 +56,9 @@ def pair_figures_markdown(state: RunState) -> str:
 
 def _figures_row(state: RunState, pair: results.PairKey) -> Sequence[str]:
     coarse, found = state.coarse.get(pair), state.registrations.get(pair)
-    nodes, edges = (coarse.graph_nodes, coarse.graph_edges) if coarse is not None else (0, 0)
-    counts = (pair_label(*pair), f"{len(state.matches.get(pair, ())):,}", f"{nodes:,}", f"{edges:,}")
+    matches = state.matches.get(pair)
+    graph = ("-", "-") if coarse is None else (f"{coarse.graph_nodes:,}", f"{coarse.graph_edges:,}")
+    counts = (pair_label(*pair), "-" if matches is None else f"{len(matches):,}", *graph)
     if found is None:
         return (*counts, "-", "-", "-", "no pose", "-")
     reasons = ", ".join(found.verdict.codes).replace("_", " ") or "-"

@@ -197,3 +197,9 @@ def test_a_picture_leaves_nothing_in_the_temporary_folder(tmp_path, monkeypatch)
     picture = viewer_picture(record(tmp_path / "made.rrd", "complete"), (320, 200))
     assert picture.startswith(b"\x89PNG")
     assert list(temporary.iterdir()) == []
+
+
+def test_a_recording_that_ends_within_a_message_is_drawn(tmp_path):
+    whole = record(tmp_path / "made.rrd", "complete").read_bytes()
+    (tmp_path / "cut.rrd").write_bytes(whole[: len(whole) // 2])
+    assert viewer_picture(tmp_path / "cut.rrd", (320, 200)).startswith(b"\x89PNG")

@@ -15,8 +15,9 @@ import rerun as rr
 
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.reading import read_recorded_clouds, read_recorded_document, read_recorded_scores
+from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.rerun.scene import pair_path
-from tests.sinks.made_events import LIDARS
+from tests.sinks.made_events import LIDARS, made_events
 
 LIMIT_BYTES = 8 << 30
 _DROP_CAPABILITY, _OF_RESOURCES = 24, 24
@@ -33,6 +34,16 @@ def test_clouds_and_document_are_read_back(recordings):
     assert {name: len(points_m) for name, points_m in clouds.items()} == {
         **{lidar: figures[lidar].points for lidar in LIDARS},
         "nobody": 0,
+    }
+
+
+def test_raw_clouds_of_a_run_that_ended_before_preprocess_are_read(tmp_path):
+    started, *_ = made_events()
+    with RerunRecording(tmp_path / "run.rrd") as observe:
+        observe(started)
+    clouds = read_recorded_clouds(tmp_path / "run.partial.rrd", LIDARS)
+    assert {name: len(points_m) for name, points_m in clouds.items()} == {
+        lidar.name: lidar.points_count for lidar in started.snapshot.lidars
     }
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from multilica import events
 from multilica.config import CalibrationConfig, RecordConfig
+from multilica.results import CalibrationResult, LidarPlacement, Refusal
 from multilica.sinks.rerun.recording import RerunRecording
-from multilica.sinks.rerun.scene import NO_LIMITS, limits_for
+from multilica.sinks.rerun.scene import NO_LIMITS, lidar_path, limits_for
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, made_events
@@ -69,3 +70,16 @@ def test_slim_says_that_raw_clouds_are_missing(tmp_path):
     assert (0, "INFO", "top: 0 of 1,200 raw points are recorded") in recording.log
     assert "/lidars/top/features" not in recording.entity_paths
     assert recording.last("/lidars/top/preprocessed", "Points3D:positions")
+
+
+def test_a_refused_slim_run_shows_some_raw_points(tmp_path):
+    """It has no other clouds."""
+    started, *_ = made_events()
+    unplaced = tuple(LidarPlacement(name, "refused") for name in LIDARS)
+    refused = CalibrationResult(TARGET, "", unplaced, refusal=Refusal("moving_vehicle", "the vehicle moves"))
+    config = CalibrationConfig(target=TARGET, record={"detail": "slim"})
+    with RerunRecording(tmp_path / "run.rrd") as observe:
+        observe(events.CalibrationStarted(started.snapshot, config))
+        observe(events.CalibrationFinished(refused))
+    recording = Recording(tmp_path / "run.rrd")
+    assert all(recording.last(lidar_path(name, "raw"), "Points3D:positions") for name in LIDARS)
