@@ -14,6 +14,9 @@ from multilica.multi_snapshot.estimate import Estimate, estimate_pairs, pair_pos
 from multilica.registration.poses import is_distinct
 from multilica.results import CalibrationResult, PairKey, PairRegistration, PoseConflict, Registration, connected
 
+# Of so many snapshots, all sets are compared.
+_MOST_COMPARED = 12
+
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
 """Per snapshot, the registrations that determine its poses."""
 LeadAt = Callable[[str, Registration, RigidTransform], float]
@@ -152,10 +155,7 @@ def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationCo
             against[one].append(other)
             against[other].append(one)
     disputing = [name for name in voters if against[name]]
-    agreeing: list[str] = []
-    for name in sorted(disputing, key=lambda name: len(against[name])):
-        if not {*against[name]} & {*agreeing}:
-            agreeing.append(name)
+    agreeing = _agreeing(disputing, against)
     outvoted = 2 * len(agreeing) > len(disputing)
     for name in disputing:
         if outvoted and name in agreeing:
@@ -163,6 +163,28 @@ def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationCo
         others = tuple(other for other in against[name] if other in agreeing or not outvoted)
         distance_m, angle_rad = voters[name].pose.distance_to(voters[others[0]].pose)
         yield PoseConflict(name, lidars, others, distance_m, float(np.rad2deg(angle_rad)), outvoted)
+
+
+def _agreeing(disputing: Sequence[str], against: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return most of the snapshots that do not contradict each other; none if several sets have as many.
+
+    Of many snapshots, those with the fewest contradictions are taken first.
+    """
+    if len(disputing) > _MOST_COMPARED:
+        agreeing: list[str] = []
+        for name in sorted(disputing, key=lambda name: (len(against[name]), name)):
+            if not {*against[name]} & {*agreeing}:
+                agreeing.append(name)
+        return agreeing
+    for count in range(len(disputing), 0, -1):
+        sets = [each for each in combinations(disputing, count) if not _any_contradict(each, against)]
+        if sets:
+            return [*sets[0]] if len(sets) == 1 else []
+    return []
+
+
+def _any_contradict(names: Sequence[str], against: Mapping[str, Sequence[str]]) -> bool:
+    return any(other in names for name in names for other in against[name])
 
 
 def _contradict(one: Estimate, other: Estimate, config: CalibrationConfig) -> bool:

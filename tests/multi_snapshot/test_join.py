@@ -4,7 +4,7 @@
 import re
 import sys
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
@@ -15,8 +15,9 @@ from multilica.diagnosis import explain
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, estimate, join, require_joinable, shown_snapshot
+from multilica.multi_snapshot.estimate import Estimate
 from multilica.multi_snapshot.join import choose_target
-from multilica.multi_snapshot.pose_conflicts import resolve_conflicts
+from multilica.multi_snapshot.pose_conflicts import _vote, resolve_conflicts
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.results import CalibrationResult, LidarPlacement, PairRegistration, PoseConflict, TimeLimit
 from multilica.results.building import provenance_of, result_document
@@ -179,6 +180,20 @@ def test_a_snapshot_too_vague_to_contradict_makes_no_majority():
     result = _joined(_run("a", 1, pairs), _run("b", 2, pairs, tampered="A"), vague)
     assert result["A"].spread.snapshots == 1
     assert np.max(result["A"].sigma_xyz_m) > 0.5
+
+
+def test_the_vote_does_not_depend_on_the_order():
+    def measured(x_m, sigma_m):
+        pose = RigidTransform.from_xyz_rpy("A", "T", [x_m, 0.0, 0.0], [0.0, 0.0, 0.0])
+        return Estimate(pose, np.diag([1e-8] * 3 + [sigma_m**2, 1e-6, 1e-6]))
+
+    found = {"a": (0.409, 0.003), "b": (-0.002, 0.003), "c": (0.298, 0.03), "d": (0.001, 0.003), "e": (0.005, 0.003)}
+    voters = {name: measured(*each) for name, each in found.items()}
+    votes = {
+        frozenset((each.snapshot, each.outvoted) for each in _vote(("A", "T"), dict(order), CalibrationConfig()))
+        for order in permutations(voters.items())
+    }
+    assert votes == {frozenset((name, True) for name in "ac")}
 
 
 def test_disagreement_within_the_limits_is_no_outlier():

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _Item = TypeVar("_Item")
 _NS_PER_S = 1_000_000_000
+# LiDARs are sampled at their first frames after the same times.
+_SAME_TIME_NS = 300_000_000
 _MIN_STANDSTILL_NS = 10**9
 """A vehicle that turns round stands still for less."""
 
@@ -171,7 +173,8 @@ def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _
     """Compare each sampled cloud of one LiDAR with the next frame and with the next sample.
 
     The LiDAR is the one with the largest clouds that show enough at all times, else at most times. One that is silent
-    for a part of the recording shows nothing then.
+    for a part of the recording shows nothing then. At times at which it does not show whether the vehicle stands,
+    others may.
     """
     found: list[tuple[float, str, _Samples, int]] = []
     for topic in richest_topics(recording, span)[:4]:
@@ -181,8 +184,19 @@ def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _
         found.append((known, topic, samples, _gap_ns(times_ns)))
         if known == 1.0:
             break
-    _, topic, samples, gap_ns = max(found, key=lambda each: each[0])
-    return f"the clouds on '{topic}'", samples, gap_ns
+    _, topic, samples, gap_ns = best = max(found, key=lambda each: each[0])
+    told = sorted(each for other in found if other is not best for each in other[2] if each[1] is not None)
+    return (
+        f"the clouds on '{topic}'",
+        [each if each[1] is not None else _told(each[0], told) for each in samples],
+        gap_ns,
+    )
+
+
+def _told(time_ns: int, others: _Samples) -> tuple[int, bool | None]:
+    """Return what other LiDARs tell of a time: the vehicle stands if one of them shows that, and none a motion."""
+    near = [still for at_ns, still in others if abs(at_ns - time_ns) < _SAME_TIME_NS]
+    return time_ns, all(near) if near else None
 
 
 def _cloud_samples(

@@ -18,6 +18,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.ingest import read_snapshot
 from multilica.ingest.locate import find_source, locate
 from multilica.ingest.opening import open_source
+from multilica.ingest.selection import standstill
 from multilica.ingest.selection.standstill import find_standstills, richest_topics
 from multilica.ingest.stops import cloud_span
 from multilica.snapshot import Scan, Snapshot
@@ -180,6 +181,27 @@ def test_evidence_of_a_part_leaves_the_whole_to_another(tmp_path: Path, tell: Ca
     assert found.evidence == "the clouds on '/points'"
     assert not found.is_whole
     assert len(found.spans) == len(STILL_S)
+
+
+def test_a_lidar_that_shows_nothing_for_a_while_is_helped_by_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of three LiDARs sees too little at some of the times."""
+    seconds, late_ns = range(6), 60_000_000
+    seen = {
+        "rear": [None, None, True, True, False, True],
+        "left": [True, None, None, None, None, False],
+        "right": [True, True, None, None, None, True],
+    }
+    samples = {
+        topic: [(10**9 * at + late_ns * number, still) for at, still in zip(seconds, own, strict=True)]
+        for number, (topic, own) in enumerate(seen.items())
+    }
+    times_ns = [10**9 * at for at in seconds]
+    monkeypatch.setattr(standstill, "richest_topics", lambda *_: [*seen])
+    monkeypatch.setattr(standstill, "_cloud_samples", lambda _, topic, *__: (samples[topic], times_ns))
+    evidence, found, _ = standstill._by_clouds(None, (0, 5 * 10**9), standstill.untold)
+    assert evidence == "the clouds on 'rear'"
+    assert [at for at, _ in found] == [at for at, _ in samples["rear"]]
+    assert [still for _, still in found] == [True, True, True, True, False, True]
 
 
 def test_from_some_time_on(tmp_path: Path) -> None:
