@@ -14,7 +14,7 @@ from multilica.results import ViewPair
 
 # So many links stand against each odd one.
 _LEAST_AGAINST = 6
-# What repeats along the way repeats alike at stops of one heading.
+# Things that repeat along the way repeat alike at stops of one heading.
 _TURN_RAD = float(np.deg2rad(45.0))
 
 

@@ -14,7 +14,7 @@ from multilica.multi_snapshot.estimate import Estimate, estimate_pairs, pair_pos
 from multilica.registration.poses import is_distinct
 from multilica.results import CalibrationResult, PairKey, PairRegistration, PoseConflict, Registration, connected
 
-# Of so many snapshots, all sets are compared.
+# All sets of so many snapshots are compared.
 _MOST_COMPARED = 12
 
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
@@ -168,7 +168,7 @@ def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationCo
 def _agreeing(disputing: Sequence[str], against: Mapping[str, Sequence[str]]) -> list[str]:
     """Return most of the snapshots that do not contradict each other; none if several sets have as many.
 
-    Of many snapshots, those with the fewest contradictions are taken first.
+    If there are many, those with the fewest contradictions are taken first.
     """
     if len(disputing) > _MOST_COMPARED:
         agreeing: list[str] = []

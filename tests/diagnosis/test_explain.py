@@ -276,7 +276,7 @@ def test_of_several_snapshots_an_accepted_pair_decides_nothing(partial, disputed
     assert "  By snapshot: monday and tuesday place it 0.300 m apart." in explain(partial).lines
 
 
-def test_snapshots_that_contradict_each_other_come_before_a_refused_pair(partial):
+def test_a_dispute_of_snapshots_comes_before_a_refused_pair(partial):
     set_reasons(partial, "undecided", "ambiguous")
     assert missing_of(jointly(partial, "rear")).cause == "disputed"
     reason = "monday: connected through pairs that contradict other snapshots on top"

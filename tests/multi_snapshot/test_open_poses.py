@@ -123,7 +123,7 @@ def test_the_ground_tells_height_roll_and_pitch(seen):
 
 
 @pytest.mark.parametrize("posed", ["ABC", "BC", "AC", "B", ""])
-def test_the_ground_of_lidars_with_a_pose_counts_without_the_others(posed):
+def test_the_ground_of_some_lidars_counts_without_the_others(posed):
     found = ground_pairs_of([*posed], ground_pairs(_LEVELS))
     for each in found:
         pair = each.registration

@@ -193,50 +193,6 @@ def test_a_link_that_differs_from_the_others_is_refused():
     assert np.all(np.abs(_errors(found)["B"]) < 5.0 * SIGMA)
 
 
-_FAR = [0.0, 0.0, 0.0, 8.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("text", "odd", "stops"),
-    [
-        ("A1-A2 A2-A3 A1-B2 A2-B1 A2-B3", "A1-A3", STOPS),
-        (_GOOD, "A1-A3 A3-B1", STOPS),
-        (_GOOD, "A1-A3", STRAIGHT),
-        ("A1-A2 A1-B2 A2-B1 B1-B2 A2-A3 B3-C3 C1-C2", "A3-B1", STOPS),
-    ],
-    ids=["few others", "two", "straight on", "either may be wrong"],
-)
-def test_a_link_far_from_the_others_shows_a_look_alike(text, odd, stops):
-    rng = np.random.default_rng(5)
-    far = [pair(*each.split("-"), rng, off=_FAR, stops=stops) for each in odd.split()]
-    found = _refined([*pairs(text, rng, stops=stops), *far])
-    assert not found.rig.stops
-    assert all("looks like another" in link.reason for link in found.links)
-
-
-def test_one_far_link_of_many_goes_alone():
-    rng = np.random.default_rng(5)
-    found = _refined([*pairs(_GOOD, rng), pair("A1", "A3", rng, off=_FAR)])
-    assert [link.reason for link in found.links if not link.used] == ["all other links put it elsewhere"]
-    assert np.all(np.abs(_errors(found)["B"]) < 5.0 * SIGMA)
-
-
-def test_a_wrong_pair_of_one_stop_leaves_the_links():
-    """Beams of another stop contradict it, and the links that it contradicted confirm each other."""
-    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
-    wrong = pair("A2", "B2", off=[0.0, 0.0, 0.6, 3.0, 0.0, 0.0]).registration
-    within = {**within, "stop 2": (wrong,)}
-
-    def against(pose, own):
-        return "stop 1" if pose.distance_to(LIDARS["B"])[0] > 0.1 and "stop 1" not in own else ""
-
-    found = refine_linked("A", within, links, _CONFIG, against)
-    assert [conflict.source for conflict in found.conflicts] == ["B"]
-    assert not found.within
-    assert sum(link.used for link in found.links) == 6
-    assert np.all(np.abs(_errors(found)["B"]) < 5.0 * SIGMA)
-
-
 def test_a_place_known_to_look_alike_has_no_links():
     within, links = _split(pairs(_GOOD + " A1-B1", np.random.default_rng(5)))
     found = refine_linked("A", within, links, _CONFIG, looks_alike=True)

@@ -183,7 +183,7 @@ def test_evidence_of_a_part_leaves_the_whole_to_another(tmp_path: Path, tell: Ca
     assert len(found.spans) == len(STILL_S)
 
 
-def test_a_lidar_that_shows_nothing_for_a_while_is_helped_by_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_others_help_a_lidar_that_shows_nothing_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of three LiDARs sees too little at some of the times."""
     seconds, late_ns = range(6), 60_000_000
     seen = {

@@ -37,7 +37,7 @@ def test_clouds_and_document_are_read_back(recordings):
     }
 
 
-def test_raw_clouds_of_a_run_that_ended_before_preprocess_are_read(tmp_path):
+def test_raw_clouds_of_a_run_that_ended_early_are_read(tmp_path):
     started, *_ = made_events()
     with RerunRecording(tmp_path / "run.rrd") as observe:
         observe(started)
