@@ -144,7 +144,7 @@ def refine_linked(
     grounds = ground_pairs(levels)
     agreeing, course = agreeing_motions(root, within, motions)
     left = _refuse(dict.fromkeys(links_off_course(course, left), _OFF_COURSE), refused, left)
-    left = _refuse(dict.fromkeys(left, _ALIKE) if looks_alike else _far(root, within, left), refused, left)
+    left = _refuse(dict.fromkeys(left, _ALIKE) if looks_alike else _far(root, within, left, grounds), refused, left)
     while True:
         solution = solve_views(root, [*within, *left], grounds)
         followed = solve_views(root, [*within, *left, *agreeing], grounds) if agreeing and left else solution
@@ -180,7 +180,7 @@ def refine_linked(
                 continue
             within = _without(within, against)
             left = [*left, *_restored(refused)]
-            left = _refuse(_far(root, within, left), refused, left)
+            left = _refuse(_far(root, within, left, grounds), refused, left)
             continue
         worst = linked.links[rig.links.index(most_contradicting(doubtful))]
         refused[worst] = _CONTRADICTED
@@ -227,9 +227,11 @@ def _refuse(found: Mapping[ViewPair, str], refused: dict[ViewPair, str], links: 
     return [link for link in links if link not in refused]
 
 
-def _far(root: str, within: Sequence[ViewPair], links: Sequence[ViewPair]) -> dict[ViewPair, str]:
+def _far(
+    root: str, within: Sequence[ViewPair], links: Sequence[ViewPair], grounds: Sequence[ViewPair]
+) -> dict[ViewPair, str]:
     """Return the links that are far from the others, or all if nothing tells which are wrong, with the reason."""
-    odd = odd_links(root, within, links)
+    odd = odd_links(root, within, links, grounds)
     return dict.fromkeys(links, _APART) if odd is None else dict.fromkeys(odd, _ODD)
 
 

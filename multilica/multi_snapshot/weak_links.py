@@ -41,9 +41,7 @@ def confirmed_links(
     if confirmed is None:
         return []
     for link in ranked:
-        if link not in confirmed and _all_fit(
-            solve_views(root, [*sure, *confirmed, link], grounds), [*confirmed, link]
-        ):
+        if link not in confirmed and all_fit(solve_views(root, [*sure, *confirmed, link], grounds), [*confirmed, link]):
             confirmed.append(link)
     return confirmed
 
@@ -59,7 +57,7 @@ def _first(
         for added in combinations(ranked[:_MOST], count):
             if _may_tell([*sure, *added]):
                 solution = solve_views(root, [*sure, *added], grounds)
-                if len(solution.poses.poses) > len(known) and _all_fit(solution, added):
+                if len(solution.poses.poses) > len(known) and all_fit(solution, added):
                     return list(added)
     return None
 
@@ -71,7 +69,7 @@ def _may_tell(pairs: Sequence[ViewPair]) -> bool:
     return len(pairs) > len(lidars) - 1 + len(stops) - 1
 
 
-def _all_fit(solution: ViewSolution, added: Sequence[ViewPair]) -> bool:
+def all_fit(solution: ViewSolution, added: Sequence[ViewPair]) -> bool:
     """Return whether others tell where each added link has to be, and every link and pair is where it has to be."""
     if not all(solution.is_confirmed(link) for link in added):
         return False

@@ -40,10 +40,12 @@ def test_a_link_far_from_the_others_shows_a_look_alike(text, odd, stops):
     assert all("looks like another" in link.reason for link in found.links)
 
 
-def test_one_far_link_of_many_goes_alone():
+@pytest.mark.parametrize("alone", ["", " A2-C3"], ids=["all confirmed", "one that nothing confirms"])
+def test_one_far_link_of_many_goes_alone(alone):
     rng = np.random.default_rng(5)
-    found = _refined([*pairs(_GOOD, rng), pair("A1", "A3", rng, off=_FAR)])
-    assert [link.reason for link in found.links if not link.used] == ["all other links put it elsewhere"]
+    found = _refined([*pairs(_GOOD + alone, rng), pair("A1", "A3", rng, off=_FAR)])
+    reasons = [link.reason for link in found.links if not link.used]
+    assert reasons == ["all other links put it elsewhere", *(["no other link confirms it"] if alone else [])]
     assert np.all(np.abs(_error(found)) < 5.0 * SIGMA)
 
 
