@@ -43,7 +43,7 @@ def check_scene_symmetry(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    repeating = [pair for pair in pairs if competing_poses(pair.registrations, config)]
+    repeating = [pair for pair in pairs if pair.registrations and competing_poses(pair.registrations, config)]
     return [
         _turned(pair, pairs, repeating, score_pose, score_turned, config)
         if repeating and may_join(pair) and pair.registrations
