@@ -10,8 +10,9 @@ from multilica.checks.comparison import (
     decide_unplaced,
     relative_covariance,
     verify_snapshot,
+    with_absent,
 )
-from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
+from multilica.checks.reference import absent_lidars, accept_run, poses_of, read_reference, require_reference
 from multilica.checks.stops import settle_stops, verify_stops
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 
@@ -20,6 +21,7 @@ __all__ = [
     "RigCheck",
     "RigTolerances",
     "Tolerance",
+    "absent_lidars",
     "accept_run",
     "check_document",
     "check_found",
@@ -33,4 +35,5 @@ __all__ = [
     "settle_stops",
     "verify_snapshot",
     "verify_stops",
+    "with_absent",
 ]

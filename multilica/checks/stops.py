@@ -20,7 +20,7 @@ def verify_stops(
 ) -> tuple[RigCheck, ...]:
     """Test at each stop of a vehicle which LiDARs are still at their known poses; arguments as `verify_snapshot`.
 
-    Stops that cannot be used are left out with a note, if there are others.
+    Stops that cannot be used are left out with a note, if there are others. Notes of the reader are among the notes.
 
     Raises:
         UnfitSnapshotError: as `verify_snapshot`, for the first of the stops, none of which can be used.
@@ -30,7 +30,8 @@ def verify_stops(
     refusals: list[UnfitSnapshotError] = []
     for snapshot in snapshots:
         try:
-            checks.append(verify_snapshot(snapshot, known, tolerances, config, deadline_s))
+            found = verify_snapshot(snapshot, known, tolerances, config, deadline_s)
+            checks.append(found.model_copy(update={"notes": (*found.notes, *snapshot.notes)}))
         except UnfitSnapshotError as refusal:
             refusals.append(refusal)
     if not checks:

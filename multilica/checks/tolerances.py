@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Largest differences of a rig from its reference that do not count as drift."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +40,11 @@ class RigTolerances(BaseModel):
         """Return the tolerance of one LiDAR."""
         own = self.lidars[lidar].model_dump(exclude_unset=True) if lidar in self.lidars else {}
         return self.default.model_copy(update=own)
+
+    def without(self, lidars: Collection[str]) -> "RigTolerances":
+        """Return the tolerances without those of some LiDARs."""
+        left = {name: own for name, own in self.lidars.items() if name not in lidars}
+        return self.model_copy(update={"lidars": left})
 
 
 def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:

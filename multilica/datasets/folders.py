@@ -2,6 +2,7 @@
 """Data sets with a recording or a folder of point files per scene: EDGAR's and OpenCalib's."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -34,7 +35,9 @@ def read_edgar(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
         SourceNotFoundError: the path does not exist.
         InputError: it holds no scene, or one of them cannot be read.
     """
-    for source in _sources(path)[: request.scenes]:
+    sources = _sources(path)[: request.scenes]
+    stems = Counter(_stem(source) for source in sources)
+    for source in sources:
         file = request.truth or find_truth(source, path if path.is_dir() else path.parent)
         truth = None if file is None else read_truth(file)
         target = MAIN_LIDAR if truth is not None and MAIN_LIDAR in truth.members else ""
@@ -43,9 +46,12 @@ def read_edgar(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
             topics=dict(request.topics),
             window="auto" if find_source(source).recordings else "start",
         )
-        yield DatasetScene(
-            source.stem if source.is_file() else source.name, read_snapshot(source, config=config), truth, target
-        )
+        name = _stem(source) if stems[_stem(source)] == 1 else source.name
+        yield DatasetScene(name, read_snapshot(source, config=config), truth, target)
+
+
+def _stem(source: Path) -> str:
+    return source.stem if source.is_file() else source.name
 
 
 def _sources(path: Path) -> list[Path]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -27,6 +28,7 @@ from multilica.snapshot import LidarScans, Scan, Snapshot
 if TYPE_CHECKING:
     from multilica.stages.stillness import Motion
 
+_ONE_STOP = re.compile(r", stop \d+$")
 _PAUSE_S = 0.5
 _ENOUGH_TURN_DEG = 60.0
 _BETWEEN_NS = 10**9
@@ -144,7 +146,8 @@ def join_stops(stops: Sequence[Snapshot]) -> tuple[Snapshot, tuple[Span, ...]]:
         for name in names
     )
     notes = tuple(dict.fromkeys(note for stop in stops for note in stop.notes))
-    return replace(stops[0], lidars=lidars, notes=notes), tuple(_span_ns(stop) for stop in stops)
+    source = _ONE_STOP.sub("", stops[0].source)
+    return replace(stops[0], lidars=lidars, notes=notes, source=source), tuple(_span_ns(stop) for stop in stops)
 
 
 def _one_after_the_other(stops: Sequence[Snapshot]) -> list[Snapshot]:

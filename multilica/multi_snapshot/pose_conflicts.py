@@ -32,6 +32,8 @@ def excluded_poses(
     fits worse there is wrong: between equal houses, one stop may find only one of the wrong poses. Stops with the same
     pose outvote fewer that exclude it.
 
+    If more stops found excluded poses of a pair than agree on another one, the place looks like another at these too.
+
     Args:
         results: of the same snapshots.
     """
@@ -50,7 +52,21 @@ def excluded_poses(
                 lidars = (min(pair.lidars), max(pair.lidars))
                 angle_deg = float(np.rad2deg(angle_rad))
                 found.append(PoseConflict(name, lidars, tuple(against), distance_m, angle_deg, outvoted=True))
-    return tuple(found)
+    return (*found, *_left_alone(pairs, found))
+
+
+def _left_alone(pairs: SnapshotPairs, excluded: Sequence[PoseConflict]) -> Iterator[PoseConflict]:
+    """Yield the poses of pairs that fewer snapshots have than found another one, which was excluded."""
+    for name, own in pairs.items():
+        for pair in own:
+            wrong = [each.snapshot for each in excluded if {*each.lidars} == pair.lidars]
+            same = [each for other in pairs.values() for each in other if _has_pose(each, pair)]
+            if name in wrong or len(wrong) <= len(same):
+                continue
+            other = next(each for each in pairs[wrong[0]] if each.lidars == pair.lidars)
+            distance_m, angle_rad = pair.T_target_source.distance_to(other.T_target_source.with_target(pair.target))
+            lidars, angle_deg = (min(pair.lidars), max(pair.lidars)), float(np.rad2deg(angle_rad))
+            yield PoseConflict(name, lidars, tuple(wrong), distance_m, angle_deg, outvoted=False)
 
 
 def without_conflicts(pairs: SnapshotPairs, conflicts: Sequence[PoseConflict]) -> SnapshotPairs:

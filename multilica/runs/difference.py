@@ -153,7 +153,7 @@ def compare_poses(
     target = before.target if before.target in common else common[0]
     rigs, limits = (before, after), (within_m, within_rad)
     # The common frame of a file may be that of the vehicle.
-    compared = (before.members | after.members) - {before.target, after.target} | {*common}
+    compared = before.T_target_source.keys() | after.T_target_source.keys() | {*common}
     moves = {name: _move(target, name, rigs, None, limits, uncertain=False) for name in common if name != target}
     statuses = {
         name: StatusChange(
@@ -173,6 +173,7 @@ def compare_poses(
         placed_by_neither={},
         statuses=statuses,
         differences={},
+        notes=("a file of poses has no stages, so only poses are compared",),
     )
 
 

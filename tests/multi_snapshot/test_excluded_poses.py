@@ -85,6 +85,24 @@ def test_more_stops_with_the_same_pose_outvote_one():
     assert [each.snapshot for each in _excluded(runs)] == ["stop 1", "stop 3"]
 
 
+@pytest.mark.parametrize(("agreeing", "dropped"), [(1, True), (2, False)])
+def test_a_pose_alone_among_excluded_ones_is_disputed(agreeing, dropped):
+    """Two stops took the place for others, so that one with a third pose may have done so, too."""
+    elsewhere = pose("front", "rear", (0.0, 7.0, 0.0))
+    runs = [_FOUND, _run("stop 2", [_told(elsewhere)]), _run("stop 3", open_poses=[_TRUTH])]
+    third = pose("front", "rear", (2.0, 2.0, 0.0), 1.0)
+    runs += [_run(f"stop {4 + number}", [_told(third)]) for number in range(agreeing)]
+    results = {run.name: run.result for run in runs}
+
+    def lead(_, __, there):
+        return 0.0 if there.distance_to(third)[0] < 0.1 else _MARGIN
+
+    found = excluded_poses({name: each.trusted for name, each in results.items()}, results, lead, _CONFIG)
+    assert {each.snapshot for each in found if each.outvoted} == {"stop 1", "stop 2"}
+    disputed = [(each.snapshot, each.others) for each in found if not each.outvoted]
+    assert disputed == ([("stop 4", ("stop 1", "stop 2"))] if dropped else [])
+
+
 def test_an_excluded_pose_does_not_count():
     placements = (LidarPlacement("front", "the target"), LidarPlacement("rear", "placed", "placed", _WRONG))
     alone = replace(_FOUND, result=replace(_FOUND.result, placements=placements))

@@ -22,12 +22,15 @@ from multilica_cli.terminal import FoldingTable, number_cells, stdout_console
 if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
+    from multilica.runs.run_documents import RunDocument
 
 _COLUMNS = ("verdict", "LiDAR", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 MaxTranslation = Annotated[
-    float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
+    float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6, max=100.0)
 ]
-MaxRotation = Annotated[float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6)]
+MaxRotation = Annotated[
+    float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6, max=180.0)
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,12 @@ class Gate:
     ] = None
 
     def limits(self, reference: Path) -> RigTolerances:
-        """Return the tolerances; refuse a reference that is not there before anything takes time."""
-        from multilica.checks import read_tolerances, require_reference
+        """Return the tolerances; refuse a reference that cannot be read before anything takes time."""
+        from multilica.checks import poses_of, read_tolerances
 
         default = tolerances_of(self.max_translation_m, self.max_rotation_deg)
         found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
-        require_reference(reference)
+        poses_of(reference)
         return found
 
 
@@ -102,8 +105,8 @@ def check(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import check_rig, decide_unplaced, read_reference, settle_stops, verify_stops
-    from multilica.runs.run_documents import is_run, read_run_document, saved_run
+    from multilica.checks import absent_lidars, decide_unplaced, read_reference, settle_stops, verify_stops, with_absent
+    from multilica.runs.run_documents import is_run, read_run_document
 
     limits = gate.limits(against)
     runs = [is_run(Path(source)) for source in sources]
@@ -113,7 +116,9 @@ def check(
             "only recordings."
         )
     directories = [Path(source) for source in sources]
-    if not all(runs):
+    if all(runs):
+        _refuse_of_recordings(recording, {"--out": out, "--stops": stops, "--workers": workers})
+    else:
         from multilica.ingest.locate import locate
         from multilica.optional_libraries import leave_out_pandas
         from multilica.orchestration.state import deadline_of
@@ -127,26 +132,57 @@ def check(
         with show_progress(quiet=quiet or as_json) as observe:
             run = run_calibration(files, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
-    checks, names = [], dict[str, str]()
-    for path in directories:
-        read = read_run_document(path)
-        frame_ids = {name: entry.frame_id for name, entry in read.document.input.lidars.items()}
-        names |= frame_ids
-        known = read_reference(against, frame_ids)
-        checks.append(check_rig(saved_run(read, str(path)), known, limits))
+    documents = [read_run_document(path) for path in directories]
+    checks = [
+        _of_run(read, str(path), against, limits, alone=all(runs))
+        for read, path in zip(documents, directories, strict=True)
+    ]
     if not all(runs):
         from multilica.ingest import read_drive
+
+        names = {name: entry.frame_id for read in documents for name, entry in read.document.input.lidars.items()}
+        absent = absent_lidars(against, names)
+        present = limits.without(absent)
 
         checks = [*settle_stops(checks)]
         if any(check.verdict == "undecided" for check in checks):
             snapshots = read_drive(files, config.drive.stops if len(directories) > 1 else 1, config=config.ingest)
             if len(checks) == 1:
-                checks = [decide_unplaced(checks[0], snapshots[0], known, limits, config, deadline_s)]
+                known = read_reference(against, names)
+                checks = [decide_unplaced(checks[0], snapshots[0], known, present, config, deadline_s)]
             else:
                 known = read_reference(against, names)
-                near = verify_stops(snapshots, known, limits, config, deadline_s)
+                near = verify_stops(snapshots, known, present, config, deadline_s)
                 checks = [*settle_stops([*checks, *near])]
+        checks = [with_absent(each, absent, limits, chosen=bool(recording.topics)) for each in checks]
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
+
+
+def _of_run(read: RunDocument, name: str, against: Path, limits: RigTolerances, *, alone: bool) -> RigCheck:
+    """Compare a run with the reference; LiDARs that are in the reference only count if the run was given alone."""
+    from multilica.checks import absent_lidars, check_rig, read_reference, with_absent
+    from multilica.runs.run_documents import saved_run
+
+    given = read.document.input
+    frame_ids = {lidar: entry.frame_id for lidar, entry in given.lidars.items()}
+    absent = absent_lidars(against, frame_ids)
+    found = check_rig(saved_run(read, name), read_reference(against, frame_ids), limits.without(absent))
+    found = found.model_copy(update={"notes": (*found.notes, *given.notes)})
+    chosen = bool(read.document.config.ingest.topics)
+    return with_absent(found, absent, limits, chosen=chosen) if alone else found
+
+
+def _refuse_of_recordings(recording: Compared, given: dict[str, object]) -> None:
+    """Refuse options that only recordings have."""
+    given |= {
+        "--topic": recording.topics,
+        "--frames": recording.frames,
+        "--config": recording.config_file,
+        "--set": recording.settings,
+        "--max-time": recording.max_time_s,
+    }
+    if found := next((name for name, value in given.items() if value), None):
+        raise UsageError(f"{found} is for recordings, which are calibrated first; a run has its poses already.")
 
 
 def verify(
@@ -163,7 +199,7 @@ def verify(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import read_reference, verify_stops
+    from multilica.checks import absent_lidars, read_reference, verify_stops, with_absent
     from multilica.ingest import frames_recorded, read_drive
     from multilica.ingest.locate import locate
     from multilica.orchestration.state import deadline_of
@@ -173,12 +209,10 @@ def verify(
     config = recording.resolve(recorded_frames=frames_recorded(files), stops=stops)
     deadline_s = deadline_of(config)
     snapshots = read_drive(files, config.drive.stops, config=config.ingest)
-    lidars = (lidar for snapshot in snapshots for lidar in snapshot.lidars)
-    known = read_reference(calibration, {lidar.name: lidar.frame_id for lidar in lidars})
-    found = verify_stops(snapshots, known, limits, config, deadline_s)
-    for snapshot in () if quiet or as_json else snapshots:
-        for note in snapshot.notes:
-            stdout_console().print(f"note: {note}")
+    frame_ids = {lidar.name: lidar.frame_id for snapshot in snapshots for lidar in snapshot.lidars}
+    known, absent = read_reference(calibration, frame_ids), absent_lidars(calibration, frame_ids)
+    checks = verify_stops(snapshots, known, limits.without(absent), config, deadline_s)
+    found = [with_absent(each, absent, limits, chosen=bool(recording.topics)) for each in checks]
     return _finish(found, calibration, gate, quiet=quiet, as_json=as_json)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
+from multilica.errors import UsageError
 from multilica_cli.options import Json, Quiet, Settings, WithinDeg, WithinM, argument, option, output, topic_names
 from multilica_cli.terminal import ERROR_COLUMNS, FoldingTable, number_cells, stdout_console
 
@@ -71,6 +72,7 @@ def evaluate(
 
     if out is not None:
         require_table_name(out)
+    _refuse_repeated(runs)
     tolerances = saved.Tolerances(within_m, within_deg, wrong_m, wrong_deg, wrong_sigma)
     known = [saved.Truth(str(path), read_extrinsics(path)) for path in truths]
     read = [saved.read_run(path) for path in runs]
@@ -88,6 +90,17 @@ def evaluate(
         print_evaluation(evaluation, console)
     if out is not None:
         console.print(f"wrote {out}")
+
+
+def _refuse_repeated(runs: Sequence[Path]) -> None:
+    """Refuse a run that is given twice, by whatever path."""
+    given: dict[Path, Path] = {}
+    for path in runs:
+        whole = path.resolve()
+        directory = whole.parent if whole.name == "result.json" else whole
+        if directory in given:
+            raise UsageError(f"{given[directory]} and {path} are one run; give it once, or it counts twice.")
+        given[directory] = path
 
 
 def datasets(

@@ -198,7 +198,8 @@ def _print_summary(summary: SourceSummary, console: Console) -> None:
     for note in summary.notes:
         console.print(f"note: {note}")
     used = [f"{cloud.lidar} ({cloud.frames_taken} of {cloud.frames} frames)" for cloud in summary.clouds if cloud.lidar]
-    console.print(f"calibrate would use: {', '.join(used) or 'nothing'}")
+    stops = " at each stop" if len(summary.standstills) > 1 else ""
+    console.print(f"calibrate would use{stops}: {', '.join(used) or 'nothing'}")
 
 
 def _print_sources(summary: SourceSummary, console: Console) -> None:

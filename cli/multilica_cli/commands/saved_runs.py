@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
@@ -30,6 +30,7 @@ from multilica_cli.terminal import (
 if TYPE_CHECKING:
     from multilica.runs.difference import RunDifference
 
+_FORMS: Mapping[str, Literal["csv", "json", "parquet"]] = {".csv": "csv", ".json": "json", ".parquet": "parquet"}
 _MOST_CHANGES = 8
 _MOST_CHARACTERS = 60
 
@@ -91,11 +92,11 @@ def diff(
     if as_json:
         typer.echo(difference.model_dump_json(indent=2))
     else:
-        print_difference(difference, stdout_console())
+        print_difference(difference, stdout_console(), stages=not files)
     return ExitCode.DONE if difference.same else ExitCode.DIFFERENT
 
 
-def print_difference(difference: RunDifference, console: Console) -> None:
+def print_difference(difference: RunDifference, console: Console, *, stages: bool = True) -> None:
     """Print which LiDARs moved, which changed status, and at which step the runs first differ."""
     before, after = difference.runs
     console.print(f"A: {before}\nB: {after}")
@@ -108,7 +109,8 @@ def print_difference(difference: RunDifference, console: Console) -> None:
         console.print(f"note: the target is {difference.targets[0]} in A and {difference.targets[1]} in B")
     for note in difference.notes:
         console.print(f"note: {note}")
-    _print_stage_differences(difference, console)
+    if stages:
+        _print_stage_differences(difference, console)
     console.print(_verdict(difference))
 
 
@@ -175,15 +177,23 @@ def query(
     ],
     *,
     form: Annotated[
-        Literal["csv", "json", "parquet"],
-        typer.Option("--format", metavar="csv|json|parquet", help="Form of the rows; json: an object per line."),
-    ] = "csv",
+        Literal["csv", "json", "parquet"] | None,
+        option(
+            "--format csv|json|parquet",
+            "Form of the rows; json: an object per line.",
+            "that of the file's name, else csv",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write to a file instead of stdout; parquet needs it.", callback=local_path),
     ] = None,
 ) -> None:
     """Print a table of a run's recording: pairs, matches, merge decisions or timings."""
+    named = None if out is None else _FORMS.get(out.suffix)
+    if form is not None and named not in (None, form):
+        raise UsageError(f"--format {form} and the name {out} contradict each other; leave one of them out.")
+    form = form or named or "csv"
     if form == "parquet" and out is None:
         raise UsageError("--format parquet needs a file; add --out FILE.")
     from pyarrow.parquet import write_table
@@ -226,6 +236,7 @@ def view(
         show_recording(recording_of_run(run))
         return
     picture = picture_of_run(run, (width_px, height_px))
+    png.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(png) as file:
         file.write(picture)
     stdout_console(quiet=quiet).print(f"wrote {png}")
@@ -246,7 +257,9 @@ def report(
     file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
     if out is None and file.exists():
         raise UsageError(f"{file} already exists and may show more than a new one; give --out FILE.")
-    write_text_atomically(file, report_html(contents_of_run(run)))
+    text = report_html(contents_of_run(run))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_text_atomically(file, text)
     stdout_console(quiet=quiet).print(f"wrote {file}")
 
 

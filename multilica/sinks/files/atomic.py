@@ -20,8 +20,10 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the name `path` when the block ends.
 
     Until then it has a hidden name in the same directory. It is removed if the block raises; after a kill, by the next
-    `atomic_file` of this path. An OSError names `path`.
+    `atomic_file` of this path. An OSError names `path`, which may not be a directory.
     """
+    if not path.name or path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for begun in begun_files(path):
         _remove_unlocked(begun)
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.tmp")
