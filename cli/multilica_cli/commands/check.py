@@ -22,15 +22,13 @@ from multilica_cli.terminal import FoldingTable, number_cells, stdout_console
 if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
-    from multilica.runs.run_documents import RunDocument
 
 _COLUMNS = ("verdict", "LiDAR", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 MaxTranslation = Annotated[
-    float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6, max=100.0)
+    float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
 ]
-MaxRotation = Annotated[
-    float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6, max=180.0)
-]
+MaxRotation = Annotated[float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6)]
+_MOST_M, _MOST_DEG = 100.0, 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +49,12 @@ class Gate:
     ] = None
 
     def limits(self, reference: Path) -> RigTolerances:
-        """Return the tolerances; refuse a reference that cannot be read before anything takes time."""
-        from multilica.checks import poses_of, read_tolerances
+        """Return the tolerances; refuse a reference that is not there before anything takes time."""
+        from multilica.checks import read_tolerances, require_reference
 
         default = tolerances_of(self.max_translation_m, self.max_rotation_deg)
         found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
-        poses_of(reference)
+        require_reference(reference)
         return found
 
 
@@ -105,8 +103,7 @@ def check(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import absent_lidars, decide_unplaced, read_reference, settle_stops, verify_stops, with_absent
-    from multilica.runs.run_documents import is_run, read_run_document
+    from multilica.runs.run_documents import is_run
 
     limits = gate.limits(against)
     runs = [is_run(Path(source)) for source in sources]
@@ -115,61 +112,83 @@ def check(
             f"{sources[runs.index(True)]} is a run and {sources[runs.index(False)]} a recording; give only runs, or "
             "only recordings."
         )
-    directories = [Path(source) for source in sources]
     if all(runs):
-        _refuse_of_recordings(recording, {"--out": out, "--stops": stops, "--workers": workers})
+        _refuse_of_recordings(recording, {"--stops": stops, "--workers": workers})
+        checks = _of_runs([Path(source) for source in sources], against, limits, alone=True)
     else:
-        from multilica.ingest.locate import locate
-        from multilica.optional_libraries import leave_out_pandas
-        from multilica.orchestration.state import deadline_of
-        from multilica.run import run_calibration
-        from multilica_cli.progress import show_progress
-
-        leave_out_pandas()
-        files = [locate(source) for source in sources]
         config = recording.resolve(workers, stops=stops)
-        deadline_s = deadline_of(config)
-        with show_progress(quiet=quiet or as_json) as observe:
-            run = run_calibration(files, out, config, observe=observe)
-        directories = [run.directory, *(path for path in run.written if path.is_dir())]
-    documents = [read_run_document(path) for path in directories]
-    checks = [
-        _of_run(read, str(path), against, limits, alone=all(runs))
-        for read, path in zip(documents, directories, strict=True)
-    ]
-    if not all(runs):
-        from multilica.ingest import read_drive
-
-        names = {name: entry.frame_id for read in documents for name, entry in read.document.input.lidars.items()}
-        absent = absent_lidars(against, names)
-        present = limits.without(absent)
-
-        checks = [*settle_stops(checks)]
-        if any(check.verdict == "undecided" for check in checks):
-            snapshots = read_drive(files, config.drive.stops if len(directories) > 1 else 1, config=config.ingest)
-            if len(checks) == 1:
-                known = read_reference(against, names)
-                checks = [decide_unplaced(checks[0], snapshots[0], known, present, config, deadline_s)]
-            else:
-                known = read_reference(against, names)
-                near = verify_stops(snapshots, known, present, config, deadline_s)
-                checks = [*settle_stops([*checks, *near])]
-        checks = [with_absent(each, absent, limits, chosen=bool(recording.topics)) for each in checks]
+        checks = _of_recordings(sources, against, limits, config, out, quiet=quiet or as_json)
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 
 
-def _of_run(read: RunDocument, name: str, against: Path, limits: RigTolerances, *, alone: bool) -> RigCheck:
-    """Compare a run with the reference; LiDARs that are in the reference only count if the run was given alone."""
-    from multilica.checks import absent_lidars, check_rig, read_reference, with_absent
-    from multilica.runs.run_documents import saved_run
+def _of_recordings(
+    sources: Sequence[str],
+    against: Path,
+    limits: RigTolerances,
+    config: CalibrationConfig,
+    out: Path | None,
+    *,
+    quiet: bool,
+) -> list[RigCheck]:
+    """Calibrate recordings, and compare the poses of each stop with the reference."""
+    from multilica.checks import (
+        absent_lidars,
+        decide_unplaced,
+        poses_of,
+        read_reference,
+        settle_stops,
+        verify_stops,
+        with_absent,
+    )
+    from multilica.ingest import read_drive
+    from multilica.ingest.locate import locate
+    from multilica.optional_libraries import leave_out_pandas
+    from multilica.orchestration.state import deadline_of
+    from multilica.run import run_calibration
+    from multilica.runs.run_documents import read_run_document
+    from multilica_cli.progress import show_progress
 
-    given = read.document.input
-    frame_ids = {lidar: entry.frame_id for lidar, entry in given.lidars.items()}
+    leave_out_pandas()
+    files = [locate(source) for source in sources]
+    poses_of(against)  # before the calibration, which takes time
+    deadline_s = deadline_of(config)
+    with show_progress(quiet=quiet) as observe:
+        run = run_calibration(files, out, config, observe=observe)
+    directories = [run.directory, *(path for path in run.written if path.is_dir())]
+    checks = [*settle_stops(_of_runs(directories, against, limits, alone=False))]
+    inputs = [read_run_document(path).document.input for path in directories]
+    frame_ids = {name: entry.frame_id for each in inputs for name, entry in each.lidars.items()}
     absent = absent_lidars(against, frame_ids)
-    found = check_rig(saved_run(read, name), read_reference(against, frame_ids), limits.without(absent))
-    found = found.model_copy(update={"notes": (*found.notes, *given.notes)})
-    chosen = bool(read.document.config.ingest.topics)
-    return with_absent(found, absent, limits, chosen=chosen) if alone else found
+    if any(check.verdict == "undecided" for check in checks):
+        known, present = read_reference(against, frame_ids), limits.without(absent)
+        snapshots = read_drive(files, config.drive.stops if len(directories) > 1 else 1, config=config.ingest)
+        if len(checks) == 1:
+            checks = [decide_unplaced(checks[0], snapshots[0], known, present, config, deadline_s)]
+        else:
+            checks = [*settle_stops([*checks, *verify_stops(snapshots, known, present, config, deadline_s)])]
+    return [with_absent(each, absent, limits, chosen=bool(config.ingest.topics)) for each in checks]
+
+
+def _of_runs(directories: Sequence[Path], against: Path, limits: RigTolerances, *, alone: bool) -> list[RigCheck]:
+    """Compare runs with the reference.
+
+    Args:
+        alone: they are no stops of one drive, so that LiDARs are missing that only the reference has.
+    """
+    from multilica.checks import absent_lidars, check_rig, read_reference, with_absent
+    from multilica.runs.run_documents import read_run_document, saved_run
+
+    checks: list[RigCheck] = []
+    for path in directories:
+        read = read_run_document(path)
+        given = read.document.input
+        frame_ids = {lidar: entry.frame_id for lidar, entry in given.lidars.items()}
+        absent = absent_lidars(against, frame_ids)
+        found = check_rig(saved_run(read, str(path)), read_reference(against, frame_ids), limits.without(absent))
+        found = found.model_copy(update={"notes": (*found.notes, *given.notes)})
+        chosen = bool(read.document.config.ingest.topics)
+        checks.append(with_absent(found, absent, limits, chosen=chosen) if alone else found)
+    return checks
 
 
 def _refuse_of_recordings(recording: Compared, given: dict[str, object]) -> None:
@@ -238,6 +257,10 @@ def tolerances_of(translation_m: float, rotation_deg: float) -> RigTolerances:
     """Return the same tolerance for each LiDAR."""
     from multilica.checks import RigTolerances, Tolerance
 
+    if not translation_m <= _MOST_M:
+        raise UsageError(f"Found --max-translation {translation_m:g}; expected at most {_MOST_M:g} m.")
+    if not rotation_deg <= _MOST_DEG:
+        raise UsageError(f"Found --max-rotation {rotation_deg:g}; expected at most {_MOST_DEG:g} degrees.")
     return RigTolerances(default=Tolerance(translation_m=translation_m, rotation_deg=rotation_deg))
 
 

@@ -94,13 +94,13 @@ def evaluate(
 
 def _refuse_repeated(runs: Sequence[Path]) -> None:
     """Refuse a run that is given twice, by whatever path."""
-    given: dict[Path, Path] = {}
+    given: set[Path] = set()
     for path in runs:
         whole = path.resolve()
         directory = whole.parent if whole.name == "result.json" else whole
         if directory in given:
-            raise UsageError(f"{given[directory]} and {path} are one run; give it once, or it counts twice.")
-        given[directory] = path
+            raise UsageError(f"Run {path} is given more than once; give each run once, or it counts twice.")
+        given.add(directory)
 
 
 def datasets(

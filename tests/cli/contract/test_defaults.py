@@ -62,7 +62,7 @@ DEFAULTS = {
         "--json": False,
     },
     "explain": {"RUN": None, "--json": False},
-    "query": {"RUN": None, "TABLE": None, "--format": "csv", "--out": None},
+    "query": {"RUN": None, "TABLE": None, "--format": None, "--out": None},
     "diff": {"RUN_A": None, "RUN_B": None, "--within-m": 1e-4, "--within-deg": 1e-3, "--json": False},
     "view": {"RUN": None, "--png": None, "--width": 1600, "--height": 900, "--quiet": False},
     "report": {"RUN": None, "--out": None, "--quiet": False},

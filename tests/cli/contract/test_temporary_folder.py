@@ -50,6 +50,7 @@ def test_processes_of_rerun_leave_nothing(show: str, temporary: Path, monkeypatc
     monkeypatch.setattr(viewer, "_COMMAND", (sys.executable, "-c", LEAVE))
     monkeypatch.setenv("DISPLAY", ":0")
     if show == "window":
+        Path("recording.rrd").touch()
         viewer.show_recording(Path("recording.rrd"))
     else:
         viewer.serve_catalog({}, "127.0.0.1", 0)

@@ -68,6 +68,58 @@ def test_what_is_not_placed_is_undecided(invoke: Invoke, result: Path) -> None:
     assert "rear: not placed" in outcome.out
 
 
+def without_rear(result: Path, **changes: object) -> Path:
+    """The run as if its recording had no topic of the rear LiDAR; it has a note of the reader."""
+    document = made_document("complete")
+    for part in (document["lidars"], document["input"]["lidars"], document["stages"]["preprocess"]):
+        part.pop("rear", None)
+    document["pairs"] = [pair for pair in document["pairs"] if "rear" not in (pair["target"], pair["source"])]
+    document["stages"], document["refinement"], document["decisions"] = None, None, []
+    document["input"]["notes"] = ["5 of 10 scans, then the file ends too early"]
+    document["config"]["ingest"] |= changes
+    path = result.with_name("without.json")
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_a_lidar_that_the_recording_lacks_is_undecided(invoke: Invoke, result: Path, tmp_path: Path) -> None:
+    tolerances = tmp_path / "t.toml"
+    tolerances.write_text("[lidars.rear]\ntranslation_m = 0.07\n")
+    run = without_rear(result)
+    outcome = invoke("check", run, "--against", result, "--tolerances", tolerances, "--json")
+    assert outcome.code == ExitCode.NOT_PLACED, outcome.err
+    (rig,) = json.loads(outcome.out)["rigs"]
+    assert rig["lidars"]["rear"]["verdict"] == "undecided"
+    assert rig["lidars"]["rear"]["max_translation_m"] == 0.07
+    assert "not in the recording" in rig["lidars"]["rear"]["reason"]
+    assert "5 of 10 scans, then the file ends too early" in rig["notes"]
+    assert "note: 5 of 10 scans" in invoke("check", run, "--against", result).out
+
+
+def test_lidars_that_chosen_topics_leave_out_are_noted(invoke: Invoke, result: Path) -> None:
+    run = without_rear(result, topics={"top": "/top", "front left/1": "/front"})
+    outcome = invoke("check", run, "--against", result)
+    assert outcome.code == ExitCode.DONE, outcome.err
+    assert "note: the reference has rear, which the chosen topics leave out" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--set", "bogus.key=1"], "--set is for recordings"),
+        (["--stops", "2"], "--stops is for recordings"),
+        (["--max-rotation", "200"], "Found --max-rotation 200; expected at most 180 degrees."),
+        (["--max-translation", "inf"], "Found --max-translation inf; expected at most 100 m."),
+    ],
+)
+def test_options_that_a_run_cannot_have_are_refused(
+    invoke: Invoke, result: Path, options: list[str], said: str
+) -> None:
+    outcome = invoke("check", result, "--against", result, *options)
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert said in outcome.err
+
+
 def test_bad_references_are_refused(invoke: Invoke, result: Path, tmp_path: Path) -> None:
     assert_one_sentence(invoke("check", result, "--against", "nowhere.toml"), ExitCode.INPUT)
     broken = tmp_path / "broken.toml"
@@ -79,6 +131,10 @@ def test_bad_references_are_refused(invoke: Invoke, result: Path, tmp_path: Path
     assert_one_sentence(invoke("check", result, "log.mcap", "--against", result), ExitCode.USAGE)
     assert_one_sentence(invoke("check", result, "--against", result, "--tolerances", "none.toml"), ExitCode.INPUT)
     assert_one_sentence(invoke("verify", "nowhere.mcap", "--calibration", result), ExitCode.INPUT)
+    recording = find_sample().recording
+    outcome = invoke("check", recording, "--against", broken, "--out", tmp_path / "new")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.slow
@@ -152,5 +208,7 @@ def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars:
         assert outcome.code == ExitCode.NOT_PLACED
         (rig,) = json.loads(outcome.out)["rigs"]
         assert {each["verdict"] for each in rig["lidars"].values()} == {"undecided"}
-        assert all("the time limit (--max-time)" in each["reason"] for each in rig["lidars"].values())
+        reasons = [each["reason"] for each in rig["lidars"].values() if "not in the recording" not in each["reason"]]
+        assert reasons
+        assert all("the time limit (--max-time)" in each for each in reasons)
     assert_one_sentence(invoke(*command, "--max-time", "-1"), ExitCode.USAGE)

@@ -5,7 +5,11 @@ import json
 from pathlib import Path
 
 import pytest
+import tomli_w
 
+from multilica.checks import poses_of
+from multilica.extrinsics import Extrinsics, extrinsics_table
+from multilica.geometry import RigidTransform
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.sinks.made_documents import made_document
@@ -38,6 +42,22 @@ def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> Non
 
 def test_a_missing_run_is_refused(invoke: Invoke) -> None:
     assert_one_sentence(invoke("diff", "nowhere", "nowhere"), ExitCode.INPUT)
+
+
+def test_a_target_that_a_file_of_poses_lacks_counts(invoke: Invoke, tmp_path: Path) -> None:
+    run, poses = tmp_path / "result.json", tmp_path / "poses.toml"
+    run.write_text(json.dumps(made_document("complete")))
+    known = poses_of(run)
+    others = {
+        name: RigidTransform("base", name, known.between("top", name).matrix) for name in ("front left/1", "rear")
+    }
+    poses.write_text(tomli_w.dumps(extrinsics_table(Extrinsics("base", others))))
+    for pair in ((run, poses), (poses, run)):
+        outcome = invoke("diff", *pair)
+        assert outcome.code == ExitCode.DIFFERENT
+        assert "top: " in outcome.out
+        assert "note: a file of poses has no stages, so only poses are compared" in outcome.out
+        assert "at any step" not in outcome.out
 
 
 def test_what_neither_run_placed_is_told(invoke: Invoke, tmp_path: Path) -> None:

@@ -108,6 +108,7 @@ def test_quiet_says_nothing(invoke: Invoke) -> None:
         (["poseless.json", "--truth", "t.toml"], 3, "`lidars` has a LiDAR that is placed without a pose"),
         (["runs/a", "--truth", "none.toml"], 3, "No extrinsics file at none.toml"),
         (["runs/a", "runs/b", "runs/a", "--truth", "t.toml"], 2, "given more than once"),
+        (["runs/a", "runs/b/../a/result.json", "--truth", "t.toml"], 2, "given more than once"),
         (["runs/a", "--truth", "t.toml", "--truth", "t.toml"], 2, "Found 2 truths for 1 run"),
         (["runs/a", "--truth", "t.toml", "--out", "table.xlsx"], 2, "table.xlsx"),
         (["runs/a", "--truth", "t.toml", "--within-m", "nan"], 2, "limits above zero"),

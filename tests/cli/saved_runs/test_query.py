@@ -62,6 +62,8 @@ def test_the_rows_go_to_a_file(invoke, run, tmp_path):
     done = invoke("query", run / "recording.rrd", "merge", "--out", tmp_path / "merge.csv")
     assert (done.code, done.out) == (0, "")
     assert (tmp_path / "merge.csv").read_text() == invoke("query", run / "recording.rrd", "merge").out
+    assert invoke("query", run / "recording.rrd", "merge", "--out", tmp_path / "merge.parquet").code == 0
+    assert (tmp_path / "merge.parquet").read_bytes().startswith(b"PAR1")
 
 
 @pytest.mark.parametrize(
@@ -70,8 +72,9 @@ def test_the_rows_go_to_a_file(invoke, run, tmp_path):
         (("pairs", "--format", "parquet"), 2, "--format parquet needs a file; add --out FILE."),
         (("poses",), 2, "'poses' is not one of 'pairs', 'matches', 'surfaces', 'merge', 'timings'"),
         (("pairs", "--out", "s3://bucket/pairs.csv"), 2, "s3://bucket/pairs.csv"),
+        (("pairs", "--format", "csv", "--out", "pairs.parquet"), 2, "--format csv and the name pairs.parquet"),
     ],
-    ids=["parquet", "table", "address"],
+    ids=["parquet", "table", "address", "two forms"],
 )
 def test_a_wrong_use_is_told(invoke, run, arguments, code, said):
     done = invoke("query", run / "recording.rrd", *arguments)

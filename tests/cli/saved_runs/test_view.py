@@ -76,7 +76,7 @@ def test_a_report_is_made_anew_but_never_over_that_of_the_run(invoke: Invoke, ru
         (["view", "nowhere"], ExitCode.INPUT, "nowhere"),
         (["report", "nowhere"], ExitCode.INPUT, "nowhere"),
         (["view", "run", "--png", "rig.png", "--width", "7"], ExitCode.USAGE, "64 to 8192"),
-        (["view", "run", "--png", "no/such/rig.png"], ExitCode.BROKEN, "rig.png"),
+        (["report", "run", "--out", "run"], ExitCode.BROKEN, "run"),
         (["view", "run", "--png", "rig.jpg"], ExitCode.USAGE, "expected a name that ends in .png"),
     ],
 )

@@ -115,6 +115,8 @@ def test_stops_are_joined_by_lidar(drive: SimulatedDrive) -> None:
     joined, spans = join_stops([first, less])
     assert [(lidar.name, len(lidar.scans)) for lidar in joined.lidars] == [("front", 6), ("rear", 3)]
     assert joined.notes == (*first.notes, "one is missing")
+    assert first.source.endswith(", stop 1")
+    assert joined.source == first.source.removesuffix(", stop 1")
     assert spans[0] == drive.spans_ns[0]
     assert spans[0][1] < spans[1][0]
 

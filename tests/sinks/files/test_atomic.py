@@ -57,6 +57,15 @@ def test_an_error_of_the_system_names_the_file(tmp_path, number):
     assert failure.value.filename == str(path)
 
 
+@pytest.mark.parametrize("name", [".", "folder"])
+def test_a_folder_is_no_file_to_write(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError), atomic_file(Path(name)):
+        pass
+    assert [each.name for each in tmp_path.iterdir()] == ["folder"]
+
+
 def test_the_error_is_told_even_if_the_begun_file_is_gone(tmp_path):
     path = tmp_path / "out.txt"
 
