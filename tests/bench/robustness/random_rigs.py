@@ -26,7 +26,7 @@ from tests.bench.support.cases import Case
 from tests.bench.support.claims import print_claims, print_table
 from tests.bench.support.workers import run_all
 
-SEEDS = range(4901, 5201)
+SEEDS = range(4971, 5271)
 """No threshold was chosen on them; keep it so. Seeds below 2000 are for development."""
 _NAME = "random"
 _SPINNING = (
