@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a rig against reference extrinsics, for pipelines."""
 
+from multilica.checks.absent import absent_lidars, with_absent
 from multilica.checks.comparison import (
     LidarCheck,
     RigCheck,
@@ -10,9 +11,8 @@ from multilica.checks.comparison import (
     decide_unplaced,
     relative_covariance,
     verify_snapshot,
-    with_absent,
 )
-from multilica.checks.reference import absent_lidars, accept_run, poses_of, read_reference, require_reference
+from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
 from multilica.checks.stops import settle_stops, verify_stops
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 

@@ -159,30 +159,6 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     return RigCheck(name=found.name, root=root, lidars=checks, notes=tuple(notes))
 
 
-def with_absent(check: RigCheck, absent: Sequence[str], tolerances: RigTolerances, *, chosen: bool) -> RigCheck:
-    """Add the LiDARs of the reference that the recording lacks: nothing tells where they are.
-
-    Args:
-        chosen: the user named the topics, so that the others are left out on purpose: a note says so.
-    """
-    if not absent:
-        return check
-    if chosen:
-        note = f"the reference has {_and(absent)}, which the chosen topics leave out"
-        return check.model_copy(update={"notes": (*check.notes, note)})
-    missing = [
-        LidarCheck(
-            lidar=name,
-            verdict="undecided",
-            reason="not in the recording: it has no topic of that LiDAR",
-            max_translation_m=tolerances.of(name).translation_m,
-            max_rotation_deg=tolerances.of(name).rotation_deg,
-        )
-        for name in absent
-    ]
-    return check.model_copy(update={"lidars": (*check.lidars, *missing)})
-
-
 def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str], tolerances: RigTolerances) -> None:
     names = sorted(placement.lidar for placement in found.placements)
     if len(common) < 2:

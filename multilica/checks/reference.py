@@ -70,22 +70,6 @@ def read_reference(path: Path, frame_ids: Mapping[str, str]) -> Extrinsics:
     return Extrinsics(root, {name: RigidTransform(root, name, pose) for name, pose in poses.items()})
 
 
-def absent_lidars(path: Path, frame_ids: Mapping[str, str]) -> list[str]:
-    """Return the LiDARs of a reference that a recording lacks: of a run, or of a TOML table of poses.
-
-    Frames in files of other formats may be anything.
-
-    Args:
-        path: a reference that `read_reference` takes.
-        frame_ids: of the LiDARs of the recording, by name.
-    """
-    if not is_run(path) and path.suffix != ".toml":
-        return []
-    found = poses_of(path)
-    lidars = found.members if is_run(path) else frozenset(found.T_target_source)
-    return sorted(lidars - {*frame_ids, *frame_ids.values()})
-
-
 def _renamed(found: Extrinsics, named: Mapping[str, str]) -> Extrinsics:
     """Return poses and covariances under other names; `named` has the present one of each."""
     target = next((name for name, known in named.items() if known == found.target), found.target)

@@ -123,8 +123,8 @@ def refine_linked(
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
     contradicts their beams at other stops, and no link of that drive counts. Nor does one if links put two LiDARs
-    farther apart than any two of one vehicle are. If a pair within a stop tells that pose, it goes instead, and links
-    are compared without it.
+    farther apart than any two of one vehicle are. If a pair within a stop tells a pose that beams contradict, it goes
+    instead, and links are compared without it.
 
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
@@ -174,7 +174,7 @@ def refine_linked(
             if against is None:
                 break
             contradicted.append(against)
-            if left and not _is_of_stops(against, within):
+            if left and not (against.stop and _is_of_stops(against, within)):
                 refused.update(dict.fromkeys(left, against.text))
                 left = []
                 continue

@@ -2,11 +2,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from multilica.datasets import SceneRequest
+from multilica.datasets import SceneRequest, folders
 from multilica.datasets.folders import read_edgar
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
 from multilica.simulate import Simulation, simulate_snapshot
@@ -79,6 +80,15 @@ def test_a_given_truth_wins(simulation: Simulation, tmp_path: Path) -> None:
     (scene,) = read_edgar(tmp_path / "scene", SceneRequest(truth=other / "config.yaml"))
     assert scene.truth is not None
     assert scene.truth.members == {"truth", "main_lidar", "back"}
+
+
+def test_scenes_of_one_stem_have_names_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("one.mcap", "one.bag", "two.mcap"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(folders, "read_snapshot", lambda *_, **__: None)
+    monkeypatch.setattr(folders, "find_source", lambda _: SimpleNamespace(recordings=[]))
+    names = [each.name for each in read_edgar(tmp_path, SceneRequest())]
+    assert names == ["one.bag", "one.mcap", "two"]
 
 
 def test_what_is_no_scene_is_refused(tmp_path: Path) -> None:

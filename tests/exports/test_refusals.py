@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 import multilica
-from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError
+from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError, UsageError
+from multilica.exports.files import export_run
 from tests.exports.test_conventions import ROS1_NODE, ROS2_NODE, joint
+from tests.sinks.made_documents import made_document
 
 AT = "{x: 0, y: 0, z: 0, roll: 0, pitch: 0, yaw: 0}"
 ROBOT = '<robot name="r">{}</robot>'
@@ -123,3 +126,13 @@ def test_a_recording_with_a_wrong_transform_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(static_transforms_mcap(twice))
     with pytest.raises(UnreadableSourceError, match="two parents, 'a' and 'b'"):
         multilica.read_extrinsics(tmp_path / "a.mcap")
+
+
+def test_a_base_frame_with_the_name_of_a_lidar_is_refused(tmp_path: Path) -> None:
+    """A run of an earlier version may have one."""
+    document = made_document("complete")
+    document["ground"]["frame"] = "rear"
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    with pytest.raises(UsageError, match="The base frame 'rear' of the run has the name of a LiDAR"):
+        export_run(tmp_path, tmp_path / "rig.csv", "csv", base="rear")
+    assert not (tmp_path / "rig.csv").exists()

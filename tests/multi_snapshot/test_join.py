@@ -5,6 +5,7 @@ import re
 import sys
 from dataclasses import replace
 from itertools import combinations, permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.diagnosis import explain
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot import SnapshotRun, estimate, join, require_joinable, shown_snapshot
+from multilica.multi_snapshot import SnapshotRun, estimate, join, pose_conflicts, require_joinable, shown_snapshot
 from multilica.multi_snapshot.estimate import Estimate
 from multilica.multi_snapshot.join import choose_target
 from multilica.multi_snapshot.pose_conflicts import _vote, resolve_conflicts
@@ -194,6 +195,15 @@ def test_the_vote_does_not_depend_on_the_order():
         for order in permutations(voters.items())
     }
     assert votes == {frozenset((name, True) for name in "ac")}
+
+
+def test_several_sets_of_as_many_snapshots_are_no_majority(monkeypatch):
+    against = {frozenset(each) for each in ("ab", "cd", "de")}
+    monkeypatch.setattr(pose_conflicts, "_contradict", lambda one, other, _: frozenset((one.of, other.of)) in against)
+    pose = RigidTransform.identity("A", "T")
+    voters = {name: SimpleNamespace(of=name, pose=pose) for name in "abcde"}
+    found = [*_vote(("A", "T"), voters, CalibrationConfig())]
+    assert [(each.snapshot, each.outvoted) for each in found] == [(name, False) for name in "abcde"]
 
 
 def test_disagreement_within_the_limits_is_no_outlier():

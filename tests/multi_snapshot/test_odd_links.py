@@ -49,6 +49,13 @@ def test_one_far_link_of_many_goes_alone(alone):
     assert np.all(np.abs(_error(found)) < 5.0 * SIGMA)
 
 
+def test_links_that_do_not_fit_stand_against_none():
+    rng = np.random.default_rng(5)
+    apart = pair("B1", "A3", rng, off=[0.0, 0.0, 0.0, 0.2, 0.0, 0.0])
+    found = _refined([*pairs(_GOOD, rng), apart, pair("A1", "A3", rng, off=_FAR)])
+    assert not found.rig.stops
+
+
 def test_a_wrong_pair_of_one_stop_leaves_the_links():
     """Beams of another stop contradict it, and the links that it contradicted confirm each other."""
     links = pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8))
@@ -63,3 +70,13 @@ def test_a_wrong_pair_of_one_stop_leaves_the_links():
     assert not found.within
     assert sum(link.used for link in found.links) == 6
     assert np.all(np.abs(_error(found)) < 5.0 * SIGMA)
+
+
+def test_pairs_within_a_stop_stay_where_lidars_are_far_apart():
+    """A chain of pairs may be longer than any pair; only links may put LiDARs too far apart."""
+    links = pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8))
+    own = (pair("A1", "B1").registration,)
+    within = {**dict.fromkeys(STOPS, ()), "stop 1": own}
+    found = refine_linked("A", within, links, RefineConfig(), max_baseline_m=1.2)
+    assert [each.registration for each in found.within] == [*own]
+    assert all("farther from A than" in link.reason for link in found.links)

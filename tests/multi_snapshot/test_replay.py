@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from multilica import events
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import replay
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.stop_views import DriveStop
@@ -55,3 +57,14 @@ def test_stops_of_one_log_have_its_hash(digests, is_kept):
     seen = []
     replay(told[0].snapshot, replace(told[-1].result, snapshots=reports), told[0].config, seen.append)
     assert (seen[0].snapshot.source_sha256 == digests[0]) == is_kept
+
+
+def test_the_level_is_that_of_the_ground():
+    """A rig file turns the base frame, and pictures are drawn in it."""
+    told = [*made_events()]
+    result = replace(told[-1].result, snapshots=(SnapshotReport(FIRST, "made", ""),))
+    turned = RigidTransform.from_xyz_rpy("base", "top", (1.0, 2.0, 1.8), (0.0, 0.0, 1.5))
+    found = replay(told[0].snapshot, result, told[0].config, lambda _: None, Extrinsics("base", {"top": turned}))
+    assert found.ground is not None
+    np.testing.assert_array_equal(found.level.matrix, found.ground.T_base_target.matrix)
+    assert found.level.rpy_rad[2] == pytest.approx(1.5, abs=0.05)

@@ -313,16 +313,10 @@ def pair_figures(contents: ReportContents, pair: PairKey) -> list[Figure]:
     scored = contents.scored.get(pair, ())
     entry = next((one for one in contents.document.pairs if one.key == pair), None)
     own = [] if entry is None else finalists(entry)
-    ranks = [
-        rank
-        for one in scored[1:2]
-        for rank, pose in enumerate(own)
-        if max(pose.distance_to(one.T_target_source)) < SAME_POSE
-    ]
-    other = "at a competing pose that other pairs imply"
-    if ranks:
-        other = "at the next best pose" if ranks[0] == 1 else "at the competing pose"
-    words = ("at the best pose", other)
+    others = [one.T_target_source for one in scored[1:2]]
+    ranks = (rank for rank, pose in enumerate(own) for one in others if max(pose.distance_to(one)) < SAME_POSE)
+    named = {None: "at a competing pose that other pairs imply", 1: "at the next best pose"}
+    words = ("at the best pose", named.get(next(ranks, None), "at the competing pose"))
     if entry is not None and entry.verdict.accepted:
         words = ("at the pose of this pair", "at the pose that another accepted pair implies")
     return [_pair_figure(contents, one, how) for one, how in zip(scored, words, strict=False)]

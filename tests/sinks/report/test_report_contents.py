@@ -12,7 +12,7 @@ import pytest
 
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.report.contents import contents_of
+from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.page import opponents, report_html
 from multilica.sinks.report.rig import refused_poses, rig_scene
 from multilica.sinks.run_state import RunState
@@ -181,6 +181,12 @@ def test_the_scene_gives_the_points_back(partial):
         pose = np.array(cloud["pose"]).reshape(4, 4).T
         assert np.allclose(pose, (LEVEL @ TRUTH[cloud["name"]]).matrix, atol=1e-6)
     assert [cloud["placed"] for cloud in scene["clouds"]] == [True, False, True]
+
+
+def test_a_sample_of_the_points_is_told_as_such(partial):
+    counted = sum(each.points for each in partial.document.stages.preprocess.values())
+    some = ReportContents(partial.document, {name: cloud[:100] for name, cloud in partial.clouds.items()})
+    assert f"Thinned at random to 300 of {counted:,} points." in report_html(some)
 
 
 def test_a_refused_pose_is_taken_from_a_placed_partner(partial):

@@ -13,6 +13,8 @@ from multilica import events
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.reading import TABLES, read_recorded_table
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.rerun.tables import _pair_row
+from multilica.sinks.run_state import RunState
 from tests.selection import some_of
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
@@ -179,3 +181,14 @@ def test_the_residual_map_goes_from_dark_to_bright(recordings):
     brightness = [sum(colour >> shift & 255 for shift in (8, 16, 24)) for colour in packed]
     assert brightness[0] < brightness[COUNT // 4] < brightness[-1]
     assert brightness[COUNT // 2] == brightness[-1]
+
+
+def test_figures_of_stages_that_did_not_run_are_unknown():
+    """A joint result has registrations of the stop that is shown, and no matches."""
+    state = RunState()
+    for event in made_events("partial"):
+        if not isinstance(event, events.CorrespondencesMatched | events.HypothesesFound):
+            state(event)
+    row = _pair_row(state, state.pairs[0], None)
+    assert (row["matches"], row["hypotheses"]) == (None, None)
+    assert row["verdict"] != "no pose"
