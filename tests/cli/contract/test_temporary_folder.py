@@ -50,8 +50,9 @@ def test_processes_of_rerun_leave_nothing(show: str, temporary: Path, monkeypatc
     monkeypatch.setattr(viewer, "_COMMAND", (sys.executable, "-c", LEAVE))
     monkeypatch.setenv("DISPLAY", ":0")
     if show == "window":
-        Path("recording.rrd").touch()
-        viewer.show_recording(Path("recording.rrd"))
+        recording = temporary.with_name("recording.rrd")
+        recording.touch()
+        viewer.show_recording(recording)
     else:
         viewer.serve_catalog({}, "127.0.0.1", 0)
     assert list(temporary.iterdir()) == []

@@ -144,6 +144,10 @@ def test_the_package_finds_its_public_names() -> None:
         multilica.no_such_name  # noqa: B018
 
 
+def test_no_file_is_empty() -> None:
+    assert {relative(path) for path in all_files() if not path.stat().st_size} == {"multilica/py.typed"}
+
+
 def test_names_of_tests_are_short() -> None:
     test = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
     names = ((path, name) for path in files_below({"tests"}, ".py") for name in test.findall(text_of(path)))
