@@ -103,7 +103,7 @@ Workers = Annotated[
 ]
 MaxTime = Annotated[
     float | None,
-    option("--max-time S", "Start no pair of LiDARs later than this, then finish with the pairs found; 0: no limit."),
+    option("--max-time S", "End all searches after this, then finish with the pairs found; 0: no limit."),
 ]
 Stops = Annotated[
     str | None,

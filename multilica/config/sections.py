@@ -301,7 +301,7 @@ class RuntimeConfig(Section):
     )
     max_time_s: NotNegative = Field(
         0.0,
-        description="no pair is started later than this after the start; 0: no limit; with one, equal runs may differ",
+        description="searches end this long after the start; 0: no limit; with one, equal runs may differ",
     )
     seed: int = Field(0, ge=0, description="seed of everything random")
 

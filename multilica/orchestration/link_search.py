@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search between the views of different stops of a drive, and registration where other pairs tell their poses."""
 
-import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -195,16 +194,17 @@ class LinkSearch:
                 break
             tried.update(pairs)
             before = len(self.links)
-            at_once = max(1, len(pairs) if math.isinf(self.deadline_s) else self.workers.processes)
-            for first in range(0, len(pairs), at_once):
-                if not self._is_late(pairs[first:]):
-                    self._search_now(pairs[first : first + at_once])
+            self._search_now(pairs)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
 
     def _search_now(self, pairs: Sequence[PairKey]) -> None:
-        requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
+        usual_m, deadline_s = self.config.features.voxel_size_m, self.deadline_s
+        requests = [SearchRequest(pair, usual_m, deadline_s=deadline_s) for pair in pairs]
         for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
+            if search is None:
+                self._miss([pair])
+                continue
             self.searched[pair] = search.registration
             self._keep(pair, search.registration)
 
@@ -212,9 +212,12 @@ class LinkSearch:
         """Return whether there is no time for pairs, and remember their stops then."""
         if time.monotonic() < self.deadline_s:
             return False
+        self._miss(pairs)
+        return True
+
+    def _miss(self, pairs: Iterable[PairKey]) -> None:
         of_label = self._of_label
         self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
-        return True
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""

@@ -35,6 +35,7 @@ from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
 from multilica.stages.fine import register_best
 from multilica.stages.verify import VerificationCloud, find_poses_beside, short_gicp, verify_hypotheses
+from multilica.time_limit import OutOfTime, require_time, time_until
 from multilica.visibility.plans import shifted_poses
 from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.visibility.sensor_view import (
@@ -145,6 +146,7 @@ class SearchRequest:
         until: the last stage to run, one of `PAIR_STAGES`.
         refused: poses of an earlier search of the pair. Then only an accepted registration counts, and the search ends
             where there will be none.
+        deadline_s: on `time.monotonic`, at which the search ends.
     """
 
     pair: PairKey
@@ -152,6 +154,7 @@ class SearchRequest:
     prior: RigidTransform | None = None
     until: Stage = "fine"
     refused: tuple[RigidTransform, ...] | None = None
+    deadline_s: float = math.inf
 
 
 @dataclass(slots=True, eq=False)
@@ -178,8 +181,21 @@ def priority_of(lidars: Shared, pair: PairKey) -> float:
     return pair_priority(target.features, source.features, config.coarse, config.acceptance.max_baseline_m)
 
 
-def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchRequest) -> PairSearch:
-    """Search the pose of a pair without an initial guess: match, find hypotheses, verify them, register the best."""
+def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchRequest) -> PairSearch | None:
+    """Search the pose of a pair without an initial guess: match, find hypotheses, verify them, register the best.
+
+    Returns:
+        The results; None if the deadline ended the search.
+    """
+    try:
+        with time_until(request.deadline_s):
+            require_time()
+            return _search_in_stages(lidars, request)
+    except OutOfTime:
+        return None
+
+
+def _search_in_stages(lidars: Shared | Mapping[str, PreparedLidar], request: SearchRequest) -> PairSearch:
     target, source = (lidars[name] for name in request.pair)
     config = target.config
     stages = PAIR_STAGES[: PAIR_STAGES.index(request.until) + 1]

@@ -141,11 +141,14 @@ def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairR
         cloud = PreprocessedCloud(group.root, np.empty((0, 3), dtype=np.float32), points_m)
         state.merged_lidars[group.members] = prepare_lidar(cloud, state.config)
     lidars = {group.root: state.merged_lidars[group.members], other.root: state.lidars[other.root]}
-    request = SearchRequest((group.root, other.root), state.config.features.voxel_size_m)
-    found = search_pair(lidars, request).registration
-    if found is not None:
-        state.observe(events.GroupsRegistered(found))
-    return found
+    pair = group.root, other.root
+    found = search_pair(lidars, SearchRequest(pair, state.config.features.voxel_size_m, deadline_s=state.deadline_s))
+    if found is None:
+        state.cut_short = True
+        return None
+    if found.registration is not None:
+        state.observe(events.GroupsRegistered(found.registration))
+    return found.registration
 
 
 def _side_of(state: CalibrationState, group: Group) -> RegistrationCloud:

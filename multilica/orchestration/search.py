@@ -107,23 +107,24 @@ def _try_earlier(state: CalibrationState) -> None:
     _register_implied(state, poses, dict.fromkeys(poses, "earlier stop"))
 
 
-def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
-    """Search pairs as long as there is time."""
-    at_once = max(1, len(pairs) if math.isinf(state.deadline_s) else state.workers.processes)
-    for first in range(0, len(pairs), at_once):
-        if state.out_of_time:
-            state.cut_short = True
-            return
-        _search_now(state, pairs[first : first + at_once], voxel_size_m, until)
-
-
-def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
+def _search(
+    state: CalibrationState,
+    pairs: Sequence[PairKey],
+    voxel_size_m: float,
+    until: Stage = "fine",
+    *,
+    whatever_the_time: bool = False,
+) -> None:
     """Search pairs; a pair that was searched before with other descriptors is replaced only if it is accepted now."""
+    deadline_s = math.inf if whatever_the_time else state.deadline_s
     requests = [
-        SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until, _refused(state, pair))
+        SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until, _refused(state, pair), deadline_s)
         for pair in pairs
     ]
     for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
+        if found is None:
+            state.cut_short = True
+            continue
         for stage in PAIR_STAGES:
             state.timing_s[stage] = state.timing_s.get(stage, 0.0) + found.elapsed_s.get(stage, 0.0)
         if pair in state.coarse and not (found.registration and found.registration.verdict.accepted):
@@ -164,8 +165,8 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     contradicted = _register_implied(state, poses, {pair: "-".join(graph.lidars_between(*pair)) for pair in poses})
     pairs = sorted(contradicted - searched)
     searched.update(pairs)
-    # Whatever the time: without them, a wrong pair could pass.
-    _search_now(state, pairs, state.config.features.voxel_size_m)
+    # Without them, a wrong pair could pass.
+    _search(state, pairs, state.config.features.voxel_size_m, whatever_the_time=True)
     return _check_pairs(state)
 
 

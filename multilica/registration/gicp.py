@@ -17,6 +17,7 @@ from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
 from multilica.registration.sensor_biases import upward_axis
 from multilica.results import GicpStep, PairRegistration
+from multilica.time_limit import require_time
 
 # Growth of the voxels until the cloud is small enough: a step removes about a third of the points.
 _COARSER = 1.2
@@ -121,7 +122,11 @@ def register(
 
     Returns:
         The pose with `fitness` and `rmse_m` as `fitness_and_rmse` defines them, for both engines.
+
+    Raises:
+        OutOfTime: the time for the search is over.
     """
+    require_time()
     small = config.engine == "small_gicp"
     run = _run_small_gicp if small else _run_open3d
     state = _Gicp(T_target_source, len(source.points_m))

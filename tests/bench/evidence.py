@@ -112,8 +112,8 @@ def _poses_of(case: tuple[str, str, int]) -> list[PoseFigures]:
         lidars.add(scans.name, prepare_lidar(clean_lidar(lidars, (scans, config)).cloud, config))
     found: list[PoseFigures] = []
     for pair in combinations(simulation.snapshot.names, 2):
-        registration = search_pair(lidars, SearchRequest(pair, config.features.voxel_size_m)).registration
-        ranked = registration.registrations if registration is not None else ()
+        search = search_pair(lidars, SearchRequest(pair, config.features.voxel_size_m))
+        ranked = search.registration.registrations if search and search.registration else ()
         for index, each in enumerate(ranked):
             pose = each.T_target_source
             metres, radians = pose.distance_to(simulation.truth.between(pose.target, pose.source))

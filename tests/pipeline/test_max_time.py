@@ -5,6 +5,8 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.diagnosis import explain
+from multilica.orchestration import search
+from multilica.orchestration.pairs import search_pair
 from multilica.orchestration.state import CalibrationState
 from multilica.results import TimeLimit
 from multilica.results.building import provenance_of, result_document
@@ -38,7 +40,13 @@ def test_what_is_not_reached_is_told(monkeypatch):
 
 
 def test_what_was_reached_is_placed(monkeypatch):
-    _ends_after(monkeypatch, 2)
+    searched = []
+
+    def first_only(lidars, request):
+        searched.append(request.pair)
+        return search_pair(lidars, request) if len(searched) == 1 else None
+
+    monkeypatch.setattr(search, "search_pair", first_only)
     result, _ = watched(sides().snapshot, base=CONFIG)
     placed = [place.lidar for place in result.placements if place.placed]
     missing = {"left", "right", "top"} - {*placed}

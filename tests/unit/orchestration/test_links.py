@@ -298,12 +298,13 @@ def test_nothing_is_registered_after_the_time_limit(monkeypatch):
     assert found.not_reached == (("stop 1", "stop 2"),)
 
 
-def test_a_search_ends_between_two_pairs_at_the_limit(monkeypatch):
+def test_pairs_without_time_are_missed(monkeypatch):
     searched = []
 
     def made(_, request):
+        assert request.deadline_s == 2.0
         searched.append(request.pair)
-        return SimpleNamespace(registration=None)
+        return SimpleNamespace(registration=None) if len(searched) < 3 else None
 
     monkeypatch.setattr(link_search, "levels_of", lambda *_: {})
     monkeypatch.setattr(link_search, "prepare_views", lambda *_: _VIEWS)
@@ -313,7 +314,7 @@ def test_a_search_ends_between_two_pairs_at_the_limit(monkeypatch):
     monkeypatch.setattr(link_search, "search_pair", made)
     monkeypatch.setattr(link_search, "time", SimpleNamespace(monotonic=lambda: float(len(searched))))
     found = links.search_links(_STOPS, CalibrationConfig(), Workers(), deadline_s=2.0)
-    assert len(searched) == 2
+    assert len(searched) == 4
     assert found.not_reached == (("stop 1", "stop 2"),)
 
 

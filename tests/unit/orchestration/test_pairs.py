@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """All stages of a pair in one task, as far as they are asked for."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from multilica import time_limit
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration import pairs
@@ -54,6 +56,18 @@ def test_a_search_goes_as_far_as_asked(lidars, until):
     assert [result is not None for result in results] == [index < done for index in range(4)]
     assert list(found.elapsed_s) == list(PAIR_STAGES[:done])
     assert all(elapsed_s >= 0.0 for elapsed_s in found.elapsed_s.values())
+
+
+def test_a_search_ends_at_its_deadline(lidars, monkeypatch):
+    now = time.monotonic()
+    assert _search(lidars, deadline_s=now) is None
+    assert _search(lidars, deadline_s=now + 600.0).registration is not None
+    asked = iter(range(10_000))
+    monkeypatch.setattr(time_limit, "time", SimpleNamespace(monotonic=lambda: float(next(asked))))
+    assert _search(lidars, deadline_s=1.5) is None
+    assert next(asked) == 3  # before the search and two registrations
+    time_limit.require_time()  # no request is left: the clock is not asked
+    assert next(asked) == 4
 
 
 def test_a_search_finds_the_pose_of_a_pair(lidars):
