@@ -42,7 +42,7 @@ def with_absent(check: RigCheck, absent: Sequence[str], tolerances: RigTolerance
         LidarCheck(
             lidar=name,
             verdict="undecided",
-            reason="not in the recording: it has no topic of that LiDAR",
+            reason="nothing to compare: no scan of that LiDAR was read",
             max_translation_m=tolerances.of(name).translation_m,
             max_rotation_deg=tolerances.of(name).rotation_deg,
         )

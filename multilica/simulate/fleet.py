@@ -169,8 +169,9 @@ def plan_fleet(
     numbers = (faults, copies, seed, *(number or 0 for number in asked.values()))
     if vehicles < 1 or kept < vehicles or min(numbers) < 0 or min(frames, keep_every) < 1:
         raise UsageError(
-            f"A fleet needs a vehicle or more, a log for each, and no negative number; found {vehicles} vehicles, "
-            f"{logs} logs, of these {copies} duplicates, {faults} broken logs and seed {seed}."
+            f"A fleet needs a vehicle or more, a log for each with a frame or more, and no negative number; found "
+            f"{vehicles} vehicles, {logs} logs of {frames} frames, of these {copies} duplicates, {faults} broken logs "
+            f"and seed {seed}."
         )
     width = max(2, len(str(vehicles)))
     names = [f"v{number:0{width}}" for number in range(1, vehicles + 1)]

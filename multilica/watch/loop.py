@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from multilica.checks import RigCheck, RigTolerances, check_found, read_reference
+from multilica.checks import RigCheck, RigTolerances, absent_lidars, check_found, read_reference, with_absent
 from multilica.config import CalibrationConfig
 from multilica.errors import MissingDependencyError, MultilicaError, UnfitSnapshotError
 from multilica.extrinsics import Extrinsics
@@ -110,9 +110,11 @@ def observe_vehicle(request: WatchRequest) -> Observation:
 def _verified(request: WatchRequest, taken: TakenSnapshot) -> Observation:
     snapshot = taken.snapshot
     require_calibratable(snapshot)
-    known = read_reference(request.calibration, {lidar.name: lidar.frame_id for lidar in snapshot.lidars})
+    frame_ids = {lidar.name: lidar.frame_id for lidar in snapshot.lidars}
+    known, absent = read_reference(request.calibration, frame_ids), absent_lidars(request.calibration, frame_ids)
     found = register_from_known(snapshot, known, request.config)
-    check = check_found(found, snapshot, known, request.tolerances)
+    check = check_found(found, snapshot, known, request.tolerances.without(absent))
+    check = with_absent(check, absent, request.tolerances, chosen=bool(request.config.ingest.topics))
     reasons = [f"{each.lidar}: {each.reason}" for each in check.lidars if each.verdict != "within"]
     silent = [f"{topic} sends no scan" for topic in taken.silent]
     text = " ".join([check.sentence, *(f"{reason}." for reason in (*reasons, *silent))])

@@ -132,8 +132,8 @@ def _rows(log: LogRow, observation: Observation) -> list[LidarRow]:
 
     Without a pose of its target, no LiDAR has one.
     """
-    found, known = observation.found, observation.known
-    if found is None or known is None:
+    check, found, known = observation.check, observation.found, observation.known
+    if check is None or found is None or known is None:
         return []
     names = {place.lidar for place in found.placements}
     target = known.target if known.target in names else min(names & known.members)
@@ -150,4 +150,7 @@ def _rows(log: LogRow, observation: Observation) -> list[LidarRow]:
             row = with_pose(row, T_root_target.inverse() @ pose, covariance)
             row = row if place.placed else replace(row, reason="uncertain", reason_text=place.reason)
         rows.append(row)
+    for absent in (each for each in check.lidars if each.lidar not in names):
+        row = LidarRow(log.key, log.time_ns, log.source, absent.lidar, target, "verified", "not_placed")
+        rows.append(replace(row, reason="no_topic", reason_text=absent.reason))
     return rows

@@ -13,9 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.drift.drift import find_outages
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import TABLES, LidarRow, LogRow
 from multilica.fleet.store.store import folder_name, open_store, vehicle_name
+from multilica.fleet.store.upkeep import prune_recordings
 from tests.fleet.support.buckets import bucket
 from tests.fleet.support.requests import DAY_NS, START_NS
 
@@ -119,6 +121,59 @@ def test_a_log_whose_file_grew_stands_there_once(tmp_path):
     for table in ("logs", "lidars"):
         with ask(store, f"SELECT key FROM {table} ORDER BY key") as answer:  # noqa: S608
             assert list(answer.rows()) == [("2",), ("watch-0",), ("watch-1",)]
+
+
+@pytest.mark.parametrize(
+    ("changed", "keys"),
+    [
+        ({"vehicle": "v2", "fingerprint": "other"}, [KEY, KEY[::-1]]),
+        ({"vehicle": "v2"}, [KEY[::-1]]),
+        ({"time_ns": START_NS + DAY_NS}, [KEY[::-1]]),
+        ({"time_ns": START_NS + DAY_NS, "fingerprint": "other"}, [KEY[::-1]]),
+        ({"vehicle": "v2", "fingerprint": "other", "state": "failed"}, [KEY]),
+    ],
+    ids=["another vehicle's", "renamed vehicle", "another time", "changed file", "failed"],
+)
+def test_a_log_is_known_by_its_file_or_its_vehicle(tmp_path, changed, keys):
+    store = open_store(tmp_path, create=True)
+    end = datetime(2026, 1, 1, tzinfo=UTC)
+    store.finish(replace(LOG, finished_at=end), [])
+    store.finish(replace(LOG, key=KEY[::-1], finished_at=end + timedelta(minutes=1), **changed), [])
+    with ask(store, "SELECT key FROM logs ORDER BY key") as answer:
+        assert [key for (key,) in answer.rows()] == keys
+
+
+def test_a_copy_of_a_log_without_poses_is_none(tmp_path):
+    store = open_store(tmp_path, create=True)
+    for state, first in (("failed", "copy"), ("refused", "copy"), ("calibrated", "a/b.mcap")):
+        store.finish(replace(LOG, state=state), [])
+        assert store.first_with(state, "v1", "c", LOG.source) == LOG.source
+        assert store.first_with(state, "v1", "c", "copy") == first
+
+
+def test_files_of_earlier_configurations_are_pruned(tmp_path):
+    store = open_store(tmp_path, create=True)
+    end = datetime(2026, 1, 1, tzinfo=UTC)
+    for number in range(2):
+        folder = f"runs/v1/2026-01/{number}"
+        store.write(f"{folder}/recording.rrd", b"12")
+        log = replace(LOG, key=str(number), recording=f"{folder}/recording.rrd", config_sha256=str(number))
+        store.finish(replace(log, finished_at=end + timedelta(days=number)), [replace(LIDAR, key=log.key)])
+    kept = {"success_days": 10.0, "failure_days": 0.0}
+    assert prune_recordings(store, **kept, now=end + timedelta(days=9)) == (0, 0)
+    assert prune_recordings(store, **kept, now=end + timedelta(days=10, hours=1)) == (1, 2)
+    assert prune_recordings(store, **kept, now=end + timedelta(days=12)) == (1, 2)
+
+
+def test_a_lidar_is_lost_whatever_the_reasons(tmp_path):
+    store = open_store(tmp_path, create=True)
+    for number, reason in enumerate(["", "no_topic", "dead_sensor", "no_topic", "dead_sensor"]):
+        log = replace(LOG, key=str(number), source=f"{number}.mcap", time_ns=START_NS + number * DAY_NS)
+        status = "not_placed" if reason else "placed"
+        lidar = replace(LIDAR, key=log.key, time_ns=log.time_ns, source=log.source, status=status, reason=reason)
+        store.finish(log, [lidar])
+    (outage,) = find_outages(store)
+    assert (outage.reason, outage.key, outage.logs, outage.lasts) == ("dead_sensor", "1", 4, True)
 
 
 def test_the_layout_is_written(tmp_path):

@@ -104,6 +104,15 @@ def test_a_verdict_is_that_of_verify(standing: Snapshot) -> None:
     assert told.check == verify_snapshot(standing, known, RigTolerances())
 
 
+@pytest.mark.slow
+def test_a_lidar_that_sends_nothing_is_undecided(standing: Snapshot) -> None:
+    left = Snapshot(standing.lidars[:-1], source="ros2://")
+    (told,), _ = watched([left])
+    assert told.outcome == "undecided"
+    assert f"{standing.names[-1]}: nothing to compare: no scan of that LiDAR was read." in told.text
+    assert [each.lidar for each in told.check.lidars if each.verdict == "undecided"] == [standing.names[-1]]
+
+
 def test_a_look_longer_than_the_interval_is_followed_by_a_pause(standing: Snapshot) -> None:
     _, pauses = watched([standing], took_s=2.0 * INTERVAL_S)
     assert pauses == [1.0]

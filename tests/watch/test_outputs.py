@@ -142,6 +142,15 @@ def rows_of(tmp_path: Path, *observations: Observation) -> dict[str, dict[str, o
     return {row["lidar"]: row for row in store.dataset("lidars").to_table().to_pylist()}
 
 
+def test_a_lidar_without_a_topic_has_a_row(tmp_path: Path) -> None:
+    found = replace(verdict().found, placements=verdict().found.placements[:2])
+    looks = [replace(verdict(), found=found, time_ns=TIME_NS + hour * 3_600_000_000_000) for hour in range(2)]
+    row = rows_of(tmp_path, *looks)["top"]
+    assert (row["status"], row["reason"], row["target"]) == ("not_placed", "no_topic", "front")
+    (outage,) = find_outages(open_store(tmp_path / "store", create=False))
+    assert (outage.lidar, outage.reason, outage.logs) == ("top", "no_topic", 2)
+
+
 def test_poses_in_a_vehicle_frame_are_stored_relative_to_a_lidar(tmp_path: Path) -> None:
     T_base_front = RigidTransform.from_xyz_rpy("base_link", "front", (1.0, 0.0, 2.0), (0.0, 0.1, 0.5))
     known = Extrinsics("base_link", {"front": T_base_front, "rear": T_base_front @ REAR})

@@ -61,10 +61,10 @@ def run(
     ] = "when-needed",
     target: Annotated[str | None, option("--target NAME", "LiDAR that all poses are relative to.", "chosen")] = None,
     max_translation_m: Annotated[
-        float, option("--max-translation M", "Largest distance that does not count as motion.", min=1e-6)
+        float, option("--max-translation M", "Largest distance that does not count as motion.", min=1e-6, max=100.0)
     ] = 0.03,
     max_rotation_deg: Annotated[
-        float, option("--max-rotation DEG", "Largest rotation that does not count as motion.", min=1e-6)
+        float, option("--max-rotation DEG", "Largest rotation that does not count as motion.", min=1e-6, max=180.0)
     ] = 0.3,
     workers: Annotated[
         int | None, option("--workers N", "Logs at once, each with one thread of a process.", "one per core", min=1)
@@ -77,8 +77,12 @@ def run(
             default=False,
         ),
     ] = "",
-    max_log_time_s: Annotated[float, option("--max-log-time S", "Time limit of a log, in seconds.", min=1.0)] = 600.0,
-    max_log_memory_mb: Annotated[float, option("--max-log-memory MB", "Memory limit of a log.", min=100.0)] = 4000.0,
+    max_log_time_s: Annotated[
+        float, option("--max-log-time S", "Time limit of a log, in seconds.", min=1.0, max=1e7)
+    ] = 600.0,
+    max_log_memory_mb: Annotated[
+        float, option("--max-log-memory MB", "Memory limit of a log.", min=100.0, max=1e7)
+    ] = 4000.0,
     retries: Annotated[int, option("--retries N", "Tries after a lost connection or a kill.", min=0)] = 5,
     newest_first: Annotated[bool, option("--newest-first", "Begin with the newest logs.")] = False,
     topics: options.Topics = None,
@@ -281,9 +285,11 @@ def prune(
     *,
     store: options.FleetStore,
     success_days: Annotated[
-        float, option("--successes DAYS", "Keep those of runs that placed every LiDAR.", min=0.0)
+        float, option("--successes DAYS", "Keep those of runs that placed every LiDAR.", min=0.0, max=1e5)
     ] = 30.0,
-    failure_days: Annotated[float, option("--failures DAYS", "Keep those of all other runs.", min=0.0)] = 365.0,
+    failure_days: Annotated[
+        float, option("--failures DAYS", "Keep those of all other runs.", min=0.0, max=1e5)
+    ] = 365.0,
     quiet: options.Quiet = False,
 ) -> None:
     """Remove old recordings, reports and MCAP files; tables and poses are kept."""

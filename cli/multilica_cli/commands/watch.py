@@ -34,8 +34,12 @@ def watch(
         Path | None, option("--tolerances FILE", r"TOML with \[default] and \[lidars.NAME], which replace these.")
     ] = None,
     recording: Compared,
-    interval_s: Annotated[float, option("--interval S", "Least time from one verdict to the next.", min=0.0)] = 60.0,
-    timeout_s: Annotated[float, option("--timeout S", "Longest wait for the scans of one look.", min=0.1)] = 10.0,
+    interval_s: Annotated[
+        float, option("--interval S", "Least time from one verdict to the next.", min=0.0, max=1e6)
+    ] = 60.0,
+    timeout_s: Annotated[
+        float, option("--timeout S", "Longest wait for the scans of one look.", min=0.1, max=1e6)
+    ] = 10.0,
     store: Annotated[
         str | None, option("--store STORE", "Also write each verdict into this store, as of `fleet run`.")
     ] = None,

@@ -38,15 +38,15 @@ _ITERATIONS = 30
 # One log without a pose is told by `fleet failures`; two in a row are no accident of the scene.
 _OUTAGES = """
 WITH states AS (
-  SELECT vehicle, lidar, CASE WHEN status = 'not_placed' THEN reason ELSE '' END AS lost, key,
+  SELECT vehicle, lidar, status = 'not_placed' AS lost, reason, key,
          epoch_ns(time) AS time_ns, row_number() OVER (PARTITION BY vehicle, lidar ORDER BY time, key) AS place,
          count(*) OVER (PARTITION BY vehicle, lidar) AS total
   FROM lidars WHERE time IS NOT NULL),
 spells AS (
   SELECT *, place - row_number() OVER (PARTITION BY vehicle, lidar, lost ORDER BY place) AS spell FROM states)
-SELECT vehicle, lidar, lost AS reason, arg_min(key, place) AS key, min(time_ns) AS time_ns,
+SELECT vehicle, lidar, arg_max(reason, place) AS reason, arg_min(key, place) AS key, min(time_ns) AS time_ns,
        max(time_ns) AS last_time_ns, count(*) AS logs, max(place) = any_value(total) AS lasts
-FROM spells WHERE lost <> '' GROUP BY vehicle, lidar, lost, spell HAVING count(*) >= 2
+FROM spells WHERE lost GROUP BY vehicle, lidar, spell HAVING count(*) >= 2
 ORDER BY vehicle, lidar, min(place)
 """
 

@@ -142,10 +142,10 @@ class FleetOffset(BaseModel, frozen=True):
 
 
 class Outage(BaseModel, frozen=True):
-    """A LiDAR without a pose in two or more logs in a row, for one cause.
+    """A LiDAR without a pose in two or more logs in a row.
 
     Attributes:
-        reason: stable name of the cause.
+        reason: stable name of the cause in the last of them.
         key, time_ns: of the first of these logs.
         last_time_ns: time of the last of them.
         logs: number of them.

@@ -25,10 +25,14 @@ _READING = "arrow_scan"
 """Word in errors of the database that come from a part, and not from the question."""
 _VIEWS = """
 SET TimeZone='UTC';
-CREATE VIEW logs AS SELECT * EXCLUDE (turn, succeeded) FROM (
-  SELECT *, row_number() OVER (PARTITION BY source, time ORDER BY state = 'failed', finished_at DESC, key) AS turn,
-         bool_or(state <> 'failed') OVER (PARTITION BY source) AS succeeded
+CREATE VIEW of_files AS SELECT * EXCLUDE (turn, succeeded) FROM (
+  SELECT *, CASE WHEN starts_with(key, 'watch-') THEN time END AS watched,
+         row_number() OVER (PARTITION BY source, fingerprint, watched ORDER BY state = 'failed', finished_at DESC, key)
+           AS turn, bool_or(state <> 'failed') OVER (PARTITION BY source) AS succeeded
   FROM logs_parts) WHERE turn = 1 AND NOT (state = 'failed' AND succeeded);
+CREATE VIEW logs AS SELECT * EXCLUDE (turn, watched) FROM (
+  SELECT *, row_number() OVER (PARTITION BY vehicle, source, watched ORDER BY finished_at DESC, key) AS turn
+  FROM of_files) WHERE turn = 1;
 CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts WHERE key IN (SELECT key FROM logs)
 """
 
@@ -52,8 +56,9 @@ def ask(
 ) -> Iterator[QueryAnswer]:
     """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
-    A log that was treated again stands there once, by its last row: by another version or configuration, or after the
-    file grew. A row of `lidars` is there if the row of its log is.
+    A log that was treated again stands there once, by its last row: by another version or configuration, as a log of
+    another vehicle or time, or after the file grew. Each verdict of a watch is a log. A row of `lidars` is there if
+    the row of its log is.
 
     Args:
         without: paths of parts that are left out.

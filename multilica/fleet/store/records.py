@@ -15,7 +15,7 @@ from multilica.geometry import FloatArray, RigidTransform
 
 SCHEMA_VERSION = 1
 LogState = Literal["verified", "calibrated", "refused", "failed", "duplicate"]
-PASSING = ("network", "killed")
+PASSING = ("network", "killed", "not_found")
 """Reasons of a failure that may be gone the next time; such a log is taken up again by the next run."""
 MEASURED = ("elapsed_s", "cpu_s", "memory_mb", "artifacts_mb", "attempts", "finished_at")
 """Columns of `logs` that are measured, so that they differ between equal runs."""

@@ -98,7 +98,7 @@ class Store:
     def first_with(self, sha256: str, vehicle: str, config_sha256: str, source: str) -> str:
         """Return the first log of a vehicle that had these bytes; that is `source` if none had them before.
 
-        A log whose task was interrupted has no row, and was none.
+        A log that gave no poses was none: its task may have been interrupted, or have ended at a limit.
         """
         path = f"digests/{folder_name(vehicle)}/{config_sha256}-{multilica.__version__}/{sha256}"
         with suppress(SourceNotFoundError):
@@ -109,7 +109,8 @@ class Store:
         return source
 
     def _has_log(self, source: str) -> bool:
-        return bool(self.dataset("logs").count_rows(filter=pc.field("source") == source))
+        has_poses = pc.field("state").isin(["verified", "calibrated"])
+        return bool(self.dataset("logs").count_rows(filter=(pc.field("source") == source) & has_poses))
 
     def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
         """Return the path of a log's run files, relative to the store."""
@@ -222,7 +223,8 @@ class Store:
 
     def _refusal(self, what: str, path: str, error: MultilicaError | OSError) -> StorageError:
         if isinstance(error, OSError):
-            told = f"{self}/{path} ({error.strerror or error}); free space or permit access"
+            remedy = "give a folder" if isinstance(error, NotADirectoryError) else "free space or permit access"
+            told = f"{self}/{path} ({error.strerror or error}); {remedy}"
         else:
             told = str(error).rstrip(".") + _code_of(error)
         passes = isinstance(error, ConnectionLostError)

@@ -18,11 +18,15 @@ from multilica.fleet.store.store import Store, folder_name
 
 _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """
-SELECT logs.vehicle, logs.time, logs.key, recording, finished_at,
-       bool_and(coalesce(lidars.status = 'placed', true) AND state = 'calibrated') AS succeeded
-FROM logs LEFT JOIN lidars USING (key) WHERE recording <> '' AND finished_at IS NOT NULL
-GROUP BY ALL ORDER BY logs.vehicle, logs.time, logs.key
+SELECT vehicle, time, key, recording FROM logs WHERE recording <> '' AND finished_at IS NOT NULL
+ORDER BY vehicle, time, key
 """
+_EVERY_RUN = """
+SELECT recording, finished_at, bool_and(coalesce(lidars.status = 'placed', true) AND state = 'calibrated') AS succeeded
+FROM logs_parts LEFT JOIN lidars_parts AS lidars USING (key) WHERE recording <> '' AND finished_at IS NOT NULL
+GROUP BY ALL ORDER BY recording
+"""
+"""Those of earlier configurations as well."""
 
 
 def prune_recordings(
@@ -39,8 +43,8 @@ def prune_recordings(
     """
     now, files, size_bytes = now or datetime.now(UTC), 0, 0
     sizes = dict(store.files("runs"))
-    with ask(store, _RUNS) as answer:
-        for _, _, _, recording, finished_at, succeeded in answer.rows():
+    with ask(store, _EVERY_RUN) as answer:
+        for recording, finished_at, succeeded in answer.rows():
             age = now - finished_at
             if age > timedelta(days=success_days if succeeded else failure_days):
                 folder = recording.rpartition("/")[0]
@@ -65,7 +69,7 @@ def lay_out_catalog(store: Store, folder: Path, vehicle: str | None = None) -> d
     """
     folders: dict[str, Path] = {}
     with ask(store, _RUNS) as answer:
-        for name, time, key, recording, *_ in answer.rows():
+        for name, time, key, recording in answer.rows():
             if vehicle in {None, name} and store.exists(recording):
                 folders.setdefault(name, folder / folder_name(name)).mkdir(parents=True, exist_ok=True)
                 day = "unknown" if time is None else f"{time:%Y-%m-%d_%H%M%S}"

@@ -124,11 +124,13 @@ def require_standstill(found: Standstills, label: str) -> None:
         return
     if found.is_known:
         raise UnfitSnapshotError(
-            f"In {label} the vehicle never stands still, by {found.evidence}; expected a second or more of standstill."
+            f"In {label} the vehicle never stands still, by {found.evidence}; expected a second or more of standstill.",
+            code="moving_vehicle",
         )
     raise UnfitSnapshotError(
         f"In {label} nothing shows when the vehicle stands still: there is no readable odometry or IMU, and "
-        f"{found.evidence} show too little, as in a tunnel; choose a time with --start (ingest.start_s)."
+        f"{found.evidence} show too little, as in a tunnel; choose a time with --start (ingest.start_s).",
+        code="unknown_standstill",
     )
 
 

@@ -91,7 +91,7 @@ def test_a_lidar_that_the_recording_lacks_is_undecided(invoke: Invoke, result: P
     (rig,) = json.loads(outcome.out)["rigs"]
     assert rig["lidars"]["rear"]["verdict"] == "undecided"
     assert rig["lidars"]["rear"]["max_translation_m"] == 0.07
-    assert "not in the recording" in rig["lidars"]["rear"]["reason"]
+    assert "no scan of that LiDAR was read" in rig["lidars"]["rear"]["reason"]
     assert "5 of 10 scans, then the file ends too early" in rig["notes"]
     assert "note: 5 of 10 scans" in invoke("check", run, "--against", result).out
 
@@ -208,7 +208,9 @@ def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars:
         assert outcome.code == ExitCode.NOT_PLACED
         (rig,) = json.loads(outcome.out)["rigs"]
         assert {each["verdict"] for each in rig["lidars"].values()} == {"undecided"}
-        reasons = [each["reason"] for each in rig["lidars"].values() if "not in the recording" not in each["reason"]]
+        reasons = [
+            each["reason"] for each in rig["lidars"].values() if "no scan of that LiDAR was read" not in each["reason"]
+        ]
         assert reasons
         assert all("the time limit (--max-time)" in each for each in reasons)
     assert_one_sentence(invoke(*command, "--max-time", "-1"), ExitCode.USAGE)

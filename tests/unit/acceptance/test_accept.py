@@ -362,6 +362,15 @@ def test_a_pose_that_leads_by_facing_points_is_accepted():
     assert _accept(*likeliest_first([slid, few])).outcome == "undecided"
 
 
+def test_facing_points_do_not_outweigh_more_evidence():
+    slid, true = _facing(pose("t", "s", (6.5, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (7.5, 0.0, 0.0)), 80, 700)
+    assert true.lead_over(slid) > _CONFIG.min_log_odds_margin
+    (reason,) = _accept(*likeliest_first([slid, true])).reasons
+    assert (reason.code, reason.competing) == ("ambiguous", slid)
+    assert (reason.value, reason.limit) == (true.evidence - slid.evidence, 0.0)
+    assert "a pose 1.00 m away agrees with more surfaces" in reason.text
+
+
 _BESIDE = pose("t", "s", (5.0, 0.0, 0.0))
 
 
