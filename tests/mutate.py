@@ -76,7 +76,7 @@ TARGETS = {
         f"{STAGES}/test_target.py",
     ),
     "multilica/stages/preprocess.py": (f"{STAGES}/test_preprocess.py", f"{STAGES}/test_stillness.py"),
-    "multilica/stages/ground.py": (f"{STAGES}/test_ground_plane.py", f"{STAGES}/test_ground_surface.py"),
+    "multilica/stages/ground.py": (f"{STAGES}/test_ground_plane.py", "tests/unit/solvers/test_ground_surface.py"),
     "multilica/stages/fine.py": (f"{STAGES}/test_fine.py", f"{REGISTRATION}/test_stability.py"),
     "multilica/stages/*.py": (f"{STAGES}/test_{{name}}.py",),
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),

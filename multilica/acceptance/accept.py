@@ -138,7 +138,7 @@ def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> fl
 def competing_poses(registrations: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
     """Select the poses beside the best that are nearly as likely, or that show a repetition, the likeliest first.
 
-    Where the lead rests on the few points that face the way between two poses, more evidence for the other one counts.
+    A lead may rest on the few points that face the way between two poses. Then more evidence for the other one counts.
     The best pose of all 331 right pairs of 145 snapshots had the most evidence.
     """
     best, *others = registrations

@@ -13,11 +13,11 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
 from multilica.registration.fixed_pair import PartlyFixedCloud, without_movable
 from multilica.registration.gicp import GicpCloud
-from multilica.registration.movable import MovableCells, find_movable
+from multilica.registration.movable import MovableSpace, find_movable
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import PairRegistration, connected
 from multilica.results.hypotheses import REPEATED
-from multilica.stages.ground import estimate_level
+from multilica.stages.ground import find_levels, rotations_of
 from multilica.stages.preprocess import MOVING_SHARE
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
@@ -59,7 +59,7 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
         return rig
     of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
     offsets = {name: of_fixed.poses[name].offset_from(rig.poses[name]) for name in rig.covariances}
-    moved = bool(len(cells.moved)) or are_contradicted(offsets, of_fixed.covariances)
+    moved = cells.has_moved or are_contradicted(offsets, of_fixed.covariances)
     after = of_fixed if moved else rig
     covariances = {}
     for name, off in offsets.items():
@@ -119,10 +119,10 @@ def _without_movable(
     state: CalibrationState,
     rig: RefinedRig,
     used: Sequence[PairRegistration],
-    cells: Mapping[int, MovableCells],
+    cells: Mapping[int, MovableSpace],
 ) -> dict[int, PairRegistration]:
     """Return the pairs that movable objects hold as fixed ones do; all by the `id` of the pair."""
-    chosen = {id(pair): pair for pair in used if pair.information is not None and len(cells[id(pair)].keys)}
+    chosen = {id(pair): pair for pair in used if pair.information is not None and not cells[id(pair)].is_empty}
     of_lidars = [key for key in map(id, state.registrations.values()) if key in chosen]
     requests = [_request(chosen[key], cells[key]) for key in of_lidars]
     shared = {
@@ -157,26 +157,26 @@ def _without_movable(
 
 def _show_movable(
     state: CalibrationState,
-    cells: Mapping[str, MovableCells],
+    cells: Mapping[str, MovableSpace],
     poses: Mapping[str, RigidTransform],
     single: Collection[str],
 ) -> None:
     if state.observe is events.ignore:
         return
     for name, of_lidar in sorted(cells.items()):
-        if len(of_lidar.keys):
+        if not of_lidar.is_empty:
             points_m = state.lidars[name].side.cloud.points_m
             movable_m = points_m[of_lidar.contain(poses[name].apply(points_m))]
             state.observe(events.MovableFound(name, movable_m, len(points_m), moved=name not in single))
 
 
-def _request(pair: PairRegistration, cells: MovableCells) -> _FixedRequest:
-    without = "moved" if cells.keys is cells.moved else "movable"
+def _request(pair: PairRegistration, cells: MovableSpace) -> _FixedRequest:
+    without = "moved" if cells.only_moved else "movable"
     return _FixedRequest(_slim(pair), *(f"{name}\0without {without}" for name in (pair.target, pair.source)))
 
 
 def _partly_fixed(
-    cloud: GicpCloud, pose: RigidTransform, cells: MovableCells, config: CalibrationConfig
+    cloud: GicpCloud, pose: RigidTransform, cells: MovableSpace, config: CalibrationConfig
 ) -> PartlyFixedCloud:
     return PartlyFixedCloud(cloud, ~cells.contain(pose.apply(cloud.points_m)), config.fine)
 
@@ -208,10 +208,11 @@ def _slim(pair: PairRegistration) -> PairRegistration:
     return replace(pair, registrations=(), steps=())
 
 
-def _movable_cells(state: CalibrationState, poses: Mapping[str, RigidTransform], moving_m: FloatArray) -> MovableCells:
+def _movable_cells(state: CalibrationState, poses: Mapping[str, RigidTransform], moving_m: FloatArray) -> MovableSpace:
     clouds = {name: state.clouds[name].points_m for name in poses}
-    state.level = level = estimate_level(state.target, clouds, poses, state.config)
+    levels = find_levels(state.target, clouds, poses, state.config)
+    state.level = next(iter(levels), None)
     thinned = ((pose, state.lidars[name].side.cloud) for name, pose in sorted(poses.items()))
     points_m = np.concatenate([pose.apply(cloud.points_m) for pose, cloud in thinned])
     lidars_m = np.array([pose.xyz_m for _, pose in sorted(poses.items())])
-    return find_movable(points_m, lidars_m, np.eye(3) if level is None else level.rotation, moving_m)
+    return find_movable(points_m, lidars_m, rotations_of(levels), moving_m)

@@ -12,7 +12,7 @@ from multilica.orchestration.pairs import PreparedLidar
 from multilica.registration.movable import find_movable
 from multilica.registration.own_body import BodyCells, find_own_body
 from multilica.results import DriveView, PairRegistration
-from multilica.stages.ground import estimate_level
+from multilica.stages.ground import estimate_level, find_levels, rotations_of
 
 # Such a share of the margin of log-odds is less than what links that confirm each other add to their evidence.
 _WEAKER = 0.5
@@ -68,7 +68,10 @@ def prepare_views(
     limits = _limits(stops, config)
     for lidar in sorted({name for stop in stops for name in stop.lidars}):
         at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
-        body = find_own_body([each.cloud.points_m for each in at_stops.values()], _to_level(lidar, levels))
+        clouds = [each.cloud.points_m for each in at_stops.values()]
+        known = _levels_of(lidar, clouds[0], levels, config)
+        # The ground is in the same place at every stop: without a vertical, it would be taken for the vehicle.
+        body = find_own_body(clouds, known[0].rotation) if known else BodyCells.none()
         for stop, prepared in at_stops.items():
             view = DriveView(lidar, stop)
             found[view] = _without_body(prepared, body).as_view(view.label, limits)
@@ -86,8 +89,9 @@ def with_movable(
     for name, prepared in views.items():
         if prepared.view is None:
             continue
-        cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), _to_level(name.lidar, levels))
-        movable = cells.contain(prepared.view.probes_m)
+        points_m = prepared.cloud.points_m
+        rotations = rotations_of(_levels_of(name.lidar, points_m, levels, prepared.config))
+        movable = find_movable(points_m, np.zeros((1, 3)), rotations).contain(prepared.view.probes_m)
         if movable.any():
             found[name] = prepared.with_view(replace(prepared.view, movable=movable))
     return found
@@ -104,9 +108,11 @@ def _is_same_ground(one: RigidTransform, other: RigidTransform) -> bool:
     return cosine > _SAME_SLOPE and abs(rise_m) < _SAME_HEIGHT_M
 
 
-def _to_level(lidar: str, levels: Mapping[str, RigidTransform]) -> FloatArray:
-    """Return the rotation (3, 3) from the frame of a LiDAR to one with z up, the identity if it sees no ground."""
-    return levels[lidar].rotation if lidar in levels else np.eye(3)
+def _levels_of(
+    lidar: str, points_m: FloatArray, levels: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> list[RigidTransform]:
+    """Return the pose of a LiDAR in a frame with z up on which its stops agree, or those that may be right."""
+    return [levels[lidar]] if lidar in levels else find_levels(lidar, {lidar: points_m}, {}, config)
 
 
 def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Objects of the size of vehicles and people that stand free on the ground."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ _NEIGHBOURS = [step for step in STEPS_AROUND if step > 0]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovableCells:
-    """Cells of space that movable objects fill.
+    """Cells of space that movable objects fill, by one vertical.
 
     Args:
         rotation: (3, 3) from the frame of the rig to one with z up.
@@ -59,11 +60,6 @@ class MovableCells:
     keys: IndexArray
     moved: IndexArray
 
-    @property
-    def of_moved(self) -> "MovableCells":
-        """The cells of the objects that did move."""
-        return MovableCells(self.rotation, self.moved, self.moved)
-
     def contain(self, points_m: FloatArray) -> BoolArray:
         """Return which points (N, 3) in the frame of the rig lie on movable objects."""
         if not len(self.keys):
@@ -72,10 +68,45 @@ class MovableCells:
         return np.asarray(self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableSpace:
+    """Space that movable objects fill, by any vertical that may be the right one.
+
+    Args:
+        only_moved: it has only the objects that did move.
+    """
+
+    parts: tuple[MovableCells, ...]
+    only_moved: bool = False
+
+    @property
+    def of_moved(self) -> "MovableSpace":
+        """The space of the objects that did move."""
+        parts = (MovableCells(each.rotation, each.moved, each.moved) for each in self.parts)
+        return MovableSpace(tuple(parts), only_moved=True)
+
+    @property
+    def is_empty(self) -> bool:
+        """True if there is no movable object."""
+        return not any(len(each.keys) for each in self.parts)
+
+    @property
+    def has_moved(self) -> bool:
+        """True if an object did move."""
+        return any(len(each.moved) for each in self.parts)
+
+    def contain(self, points_m: FloatArray) -> BoolArray:
+        """Return which points (N, 3) in the frame of the rig lie on movable objects."""
+        found = np.zeros(len(points_m), dtype=np.bool_)
+        for each in self.parts:
+            found |= each.contain(points_m)
+        return found
+
+
 def find_movable(
-    points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArray, moving_m: FloatArray | None = None
-) -> MovableCells:
-    """Find the cells of objects that could stand elsewhere in the next scan.
+    points_m: FloatArray, lidars_m: FloatArray, rotations: Sequence[FloatArray], moving_m: FloatArray | None = None
+) -> MovableSpace:
+    """Find the space of objects that could stand elsewhere in the next scan.
 
     These are connected groups of cells above the ground, none larger than a vehicle. A group that touches a wall, a
     rail or a ceiling belongs to it. A row of cars that did move may be longer: cars that creep fill the gaps.
@@ -83,9 +114,15 @@ def find_movable(
     Args:
         points_m: (N, 3) of all LiDARs in the frame of the rig.
         lidars_m: (L, 3) positions of the LiDARs.
-        rotation: (3, 3) from that frame to one with z up.
+        rotations: (3, 3) each, from that frame to one with z up; objects that are movable by one of them count.
         moving_m: (K, 3) returns that are not in `points_m`, from places where other frames found nothing.
     """
+    return MovableSpace(tuple(_find_by_vertical(points_m, lidars_m, each, moving_m) for each in rotations))
+
+
+def _find_by_vertical(
+    points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArray, moving_m: FloatArray | None
+) -> MovableCells:
     middle_m = lidars_m.mean(axis=0)
     points_m = points_m[lengths(points_m - middle_m) < _RANGE_M] @ rotation.T
     above_m = above_ground(points_m)

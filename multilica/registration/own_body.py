@@ -28,6 +28,11 @@ class BodyCells:
 
     keys: IndexArray
 
+    @classmethod
+    def none(cls) -> "BodyCells":
+        """Return that there are none."""
+        return cls(np.empty(0, dtype=np.int64))
+
     def contain(self, points_m: FloatArray) -> BoolArray:
         """Return which points (N, 3) lie on the vehicle."""
         return np.isin(cell_numbers(points_m, _CELL_M), self.keys)
@@ -41,9 +46,8 @@ def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCell
         rotation: (3, 3) from that frame to one with z up.
     """
     near = [points_m[lengths(points_m) < _REACH_M] for points_m in stops]
-    nothing = BodyCells(np.empty(0, dtype=np.int64))
     if len(near) < 2 or any(len(points_m) < _MIN_POINTS for points_m in near):
-        return nothing
+        return BodyCells.none()
     first_m = near[0]
     first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
     keys = cell_numbers(first_m, _CELL_M)
@@ -52,7 +56,7 @@ def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCell
         same = same[_touch(same, np.unique(cell_numbers(points_m, _CELL_M)))]
     count = np.count_nonzero(np.isin(keys, same))
     if count < _MIN_POINTS or count > _MAX_SHARE * len(first_m):
-        return nothing
+        return BodyCells.none()
     return BodyCells(np.unique(np.concatenate([same + step for step in STEPS_AROUND])))
 
 

@@ -25,6 +25,7 @@ _SPACING_NEIGHBOUR = 4
 _REFERENCE_FRAMES = 10
 # In places where nothing moves, edges are a quarter of a percent of the returns.
 MOVING_SHARE = 0.005
+_MOST_BEAMS = 0.99
 # With fewer returns than in the point's own frame, the beam that would hit it may be lost.
 _MIN_FILLED = 0.85
 # Three of nine cells: at this density, chance leaves all nine without a return in one frame of forty.
@@ -66,8 +67,13 @@ def preprocess(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest."""
+    """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest.
 
+    Args:
+        axis: about which the columns lie. Near it they are narrower than the distance of beams.
+    """
+
+    axis: int
     cell_rad: float
     lowest_rad: float
     rows: int
@@ -75,8 +81,9 @@ class _Grid:
 
     def cells(self, points_m: FloatArray, range_m: FloatArray) -> IndexArray:
         """Return the cell (N,) of each point."""
-        row = ((np.arcsin(points_m[:, 2] / range_m) - self.lowest_rad) / self.cell_rad).astype(np.int64)
-        turn = np.arctan2(points_m[:, 1], points_m[:, 0]) / (2.0 * np.pi) % 1.0
+        x_m, y_m, z_m = np.roll(points_m, 2 - self.axis, axis=1).T
+        row = ((np.arcsin(z_m / range_m) - self.lowest_rad) / self.cell_rad).astype(np.int64)
+        turn = np.arctan2(y_m, x_m) / (2.0 * np.pi) % 1.0
         column = (turn * self.columns).astype(np.int64) % self.columns
         return np.asarray(np.clip(row, 0, self.rows - 1) * self.columns + column)
 
@@ -181,10 +188,12 @@ def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
     distances, _ = tree.query(sample, k=_SPACING_NEIGHBOUR + 1)
     cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
-    sines = [points_m[:, 2] / range_m for points_m, range_m in frames if len(points_m)]
+    # The axis that most beams keep away from: z, but for drivers that report z forward.
+    axis = min((2, 0, 1), key=lambda axis: float(np.quantile(np.abs(sample[:, axis]), _MOST_BEAMS)))
+    sines = [points_m[:, axis] / range_m for points_m, range_m in frames if len(points_m)]
     lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
     rows = int((highest - lowest) / cell_rad) + 1
-    return _Grid(cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
+    return _Grid(axis, cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
 
 
 def _usable_returns(scan: Scan) -> tuple[BoolArray, FloatArray, FloatArray]:

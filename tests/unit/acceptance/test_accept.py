@@ -10,34 +10,17 @@ from multilica.acceptance.accept import (
     cannot_be_accepted,
     competing_poses,
     is_well_constrained,
-    likeliest_first,
     may_be_accepted,
-    may_compete,
     min_competing_evidence,
 )
 from multilica.acceptance.placement import imprecision, place
 from multilica.config import AcceptanceConfig, MergeConfig
-from multilica.results import PairRegistration, Registration, Stability, VisibilityScore
+from multilica.results import PairRegistration, Stability
+from tests.unit.acceptance.made_registrations import ELSEWHERE, HERE, registration
 from tests.unit.made_pairs import pose
 
 _CONFIG = AcceptanceConfig()
-_HERE = pose("t", "s")
-_ELSEWHERE = pose("t", "s", (3.0, 4.0, 0.0), np.pi / 2)
 _STABLE = Stability(sigma_m=0.005, sigma_rad=1e-4, perturbation_m=0.3, perturbed_offset_m=0.001, thinned_offset_m=0.01)
-
-
-def _registration(at=_HERE, *, distinctive=400, violate=0, structure=(200, 0), weakest=50.0, stability=None):
-    """Make a registration whose points agree on the ground and, the distinctive ones, off it.
-
-    Args:
-        structure: number of its points that agree, and that are hidden.
-        weakest: smallest eigenvalue of the information.
-    """
-    ground = 1000.0
-    information = np.diag([weakest, 500.0, 500.0, 500.0, 500.0, ground])
-    agree, (seen, hidden) = distinctive + int(ground), structure
-    score = VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), seen, 0, hidden)
-    return Registration(0, at, score, 0.8, 0.03, 5.0, np.zeros((0, 3)), stability=stability)
 
 
 def _accept(*registrations, **changed):
@@ -45,7 +28,7 @@ def _accept(*registrations, **changed):
 
 
 def test_a_clear_registration_is_accepted_without_reasons():
-    verdict = _accept(_registration(stability=_STABLE), _registration(_ELSEWHERE, distinctive=100))
+    verdict = _accept(registration(stability=_STABLE), registration(ELSEWHERE, distinctive=100))
     assert verdict.outcome == "accept"
     assert verdict.accepted
     assert verdict.reasons == ()
@@ -57,10 +40,10 @@ _FAR = pose("t", "s", (14.0, 0.0, 0.0))
 @pytest.mark.parametrize(
     ("weak", "code", "text"),
     [
-        (_registration(distinctive=20), "too_little_evidence", "only 20 points lie on walls and objects"),
-        (_registration(violate=30), "empty_space_violated", "2.1% of the points lie in space"),
-        (_registration(structure=(0, 5000)), "structure_unexplained", "5000 of 5000 points on walls and objects"),
-        (_registration(_FAR, distinctive=300), "too_far_apart", "the LiDARs would be 14.0 m apart"),
+        (registration(distinctive=20), "too_little_evidence", "only 20 points lie on walls and objects"),
+        (registration(violate=30), "empty_space_violated", "2.1% of the points lie in space"),
+        (registration(structure=(0, 5000)), "structure_unexplained", "5000 of 5000 points on walls and objects"),
+        (registration(_FAR, distinctive=300), "too_far_apart", "the LiDARs would be 14.0 m apart"),
     ],
     ids=["few points", "empty space", "hidden", "far apart"],
 )
@@ -78,20 +61,20 @@ def test_a_pose_with_too_little_evidence_names_its_weakness(weak, code, text):
 @pytest.mark.parametrize("derivation", ["turned by 180 deg", "repeated after 7.5 m", "slid by +2 m"])
 def test_a_derived_pose_needs_more_evidence(derivation):
     """It is one of several that were tried; a pose that other pairs imply is the only one."""
-    found = _registration(distinctive=60)
+    found = registration(distinctive=60)
     assert _CONFIG.min_evidence < found.evidence < _CONFIG.min_evidence + np.log(6.0)
     assert _accept(found).accepted
     verdict = _accept(replace(found, derivation=derivation))
     assert (verdict.outcome, verdict.codes) == ("reject", ("too_little_evidence",))
     assert verdict.text.endswith("limit 4.1)")
     assert _accept(replace(found, derivation="a-b-c", hypothesis=-1)).accepted
-    assert _accept(replace(_registration(), derivation=derivation)).accepted
+    assert _accept(replace(registration(), derivation=derivation)).accepted
 
 
 def test_the_worst_weakness_is_first_slight_ones_are_left_out():
-    assert _accept(_registration(distinctive=20, violate=8)).codes == ("empty_space_violated", "too_little_evidence")
-    assert _accept(_registration(distinctive=20, violate=300)).codes == ("empty_space_violated",)
-    assert _accept(_registration(distinctive=4, structure=(10, 90))).codes == ("too_little_evidence",)
+    assert _accept(registration(distinctive=20, violate=8)).codes == ("empty_space_violated", "too_little_evidence")
+    assert _accept(registration(distinctive=20, violate=300)).codes == ("empty_space_violated",)
+    assert _accept(registration(distinctive=4, structure=(10, 90))).codes == ("too_little_evidence",)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +83,7 @@ def test_the_worst_weakness_is_first_slight_ones_are_left_out():
     ids=["empty space", "hidden", "far apart"],
 )
 def test_no_weakness_outweighs_any_number_of_points(flaw):
-    few, many = (_accept(_registration(**flaw, distinctive=distinctive)) for distinctive in (100, 4000))
+    few, many = (_accept(registration(**flaw, distinctive=distinctive)) for distinctive in (100, 4000))
     assert few.outcome == "reject"
     assert many.accepted
 
@@ -108,7 +91,7 @@ def test_no_weakness_outweighs_any_number_of_points(flaw):
 def test_lidars_beyond_the_baseline_are_rejected():
     limit_m = _CONFIG.max_baseline_m
     near, far = (
-        _accept(_registration(pose("t", "s", (x_m, 0.0, 0.0)), distinctive=100_000)) for x_m in (limit_m, limit_m + 0.1)
+        _accept(registration(pose("t", "s", (x_m, 0.0, 0.0)), distinctive=100_000)) for x_m in (limit_m, limit_m + 0.1)
     )
     assert near.accepted
     assert far.outcome == "reject"
@@ -118,7 +101,7 @@ def test_lidars_beyond_the_baseline_are_rejected():
 
 
 def test_a_competing_pose_leaves_it_undecided():
-    best, competing = _registration(), _registration(_ELSEWHERE)
+    best, competing = registration(), registration(ELSEWHERE)
     verdict = _accept(best, competing)
     assert verdict.outcome == "undecided"
     assert not verdict.accepted
@@ -132,23 +115,23 @@ def test_a_competing_pose_leaves_it_undecided():
 
 
 def test_the_likeliest_competing_pose_is_named():
-    poses = [_registration(_ELSEWHERE, distinctive=distinctive) for distinctive in (400, 420, 20)]
-    best = _registration()
+    poses = [registration(ELSEWHERE, distinctive=distinctive) for distinctive in (400, 420, 20)]
+    best = registration()
     assert competing_poses([best, *poses], _CONFIG) == [poses[1], poses[0]]
     assert _accept(best, *poses).reasons[0].competing is poses[1]
 
 
 def test_a_competing_pose_along_the_slide_is_not_observable():
     weakest_x = np.diag([300.0, 300.0, 300.0, 50.0, 300.0, 1000.0])
-    best = _registration()
+    best = registration()
     best = replace(best, visibility=replace(best.visibility, information=weakest_x))
     slid, beside = (pose("t", "s", xyz_m) for xyz_m in ((2.0, 0.1, 0.0), (0.1, 2.0, 0.0)))
-    along, across = (_accept(best, _registration(at)) for at in (slid, beside))
+    along, across = (_accept(best, registration(at)) for at in (slid, beside))
     assert (along.codes, across.codes) == (("not_observable",), ("ambiguous",))
     assert "does not constrain the pose along x of t: a pose 2.00 m away fits as well" in along.text
     assert along.reasons[0].competing is None
     sliding = replace(best, stability=replace(_STABLE, perturbed_offset_m=0.3))
-    both = _accept(sliding, _registration(slid))
+    both = _accept(sliding, registration(slid))
     assert both.codes == ("not_observable",)
     assert "perturbed by" in both.text
 
@@ -156,7 +139,7 @@ def test_a_competing_pose_along_the_slide_is_not_observable():
 @pytest.mark.parametrize("which", ["best", "competing"])
 def test_a_competing_pose_where_the_scene_repeats_is_named_so(which):
     repeated = pose("t", "s", (0.0, 7.5, 0.0))
-    best, competing = _registration(), _registration(repeated)
+    best, competing = registration(), registration(repeated)
     if which == "best":
         best = replace(best, derivation="repeated after 7.5 m")
     else:
@@ -165,7 +148,7 @@ def test_a_competing_pose_where_the_scene_repeats_is_named_so(which):
     assert (verdict.outcome, verdict.codes) == ("undecided", ("held_by_repetition",))
     assert verdict.text.startswith("the scene repeats: a pose 7.50 m away fits as well")
     assert verdict.reasons[0].competing is competing
-    turned = replace(competing, T_target_source=_ELSEWHERE, derivation="turned by 90 deg")
+    turned = replace(competing, T_target_source=ELSEWHERE, derivation="turned by 90 deg")
     assert _accept(best, turned).codes == ("ambiguous",)
 
 
@@ -176,8 +159,8 @@ def test_poses_compete_by_the_points_where_they_differ():
     clean, dirty = (
         replace(each, visibility=replace(each.visibility, violating=where))
         for each, where in (
-            (_registration(distinctive=9000), violating[1]),
-            (_registration(_ELSEWHERE, distinctive=9000, violate=12), violating[0]),
+            (registration(distinctive=9000), violating[1]),
+            (registration(ELSEWHERE, distinctive=9000, violate=12), violating[0]),
         )
     )
     assert clean.evidence - dirty.evidence < _CONFIG.min_log_odds_margin
@@ -197,7 +180,7 @@ def test_poses_compete_by_the_points_where_they_differ():
     ids=["pushed", "thinned"],
 )
 def test_a_pose_that_slides_leaves_it_undecided(moved, value, figures):
-    verdict = _accept(_registration(stability=replace(_STABLE, **moved)))
+    verdict = _accept(registration(stability=replace(_STABLE, **moved)))
     assert verdict.outcome == "undecided"
     assert verdict.codes == ("not_observable",)
     assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (value, _CONFIG.max_perturbed_offset_m)
@@ -207,17 +190,17 @@ def test_a_pose_that_slides_leaves_it_undecided(moved, value, figures):
 
 def test_a_pose_needs_points_in_each_direction():
     """Two LiDARs that look apart in a garage: turned by 180 deg they share a wall, and slide along it."""
-    verdict = _accept(_registration(weakest=0.04, stability=_STABLE))
+    verdict = _accept(registration(weakest=0.04, stability=_STABLE))
     assert verdict.outcome == "undecided"
     assert verdict.codes == ("not_observable",)
     assert verdict.text.endswith("constrain the pose about x of t: only 0.04 points hold it there (limit 0.1)")
-    assert _accept(_registration(weakest=0.2, stability=_STABLE)).accepted
-    assert _accept(_registration(weakest=0.04, stability=replace(_STABLE, sigma_m=0.03))).outcome == "undecided"
+    assert _accept(registration(weakest=0.2, stability=_STABLE)).accepted
+    assert _accept(registration(weakest=0.04, stability=replace(_STABLE, sigma_m=0.03))).outcome == "undecided"
 
 
 def test_lidars_side_by_side_count_points_twice():
     """In a tunnel, both see the niche that one would take for another."""
-    found = [_registration(weakest=0.15, stability=_STABLE)]
+    found = [registration(weakest=0.15, stability=_STABLE)]
     assert accept(found, _CONFIG).accepted
     assert accept(found, _CONFIG, views=2).outcome == "undecided"
 
@@ -231,7 +214,7 @@ def test_lidars_side_by_side_count_points_twice():
     ids=["position", "rotation"],
 )
 def test_a_pose_with_a_large_sigma_alone_is_uncertain(sigma, value, limit, text):
-    verdict = _accept(_registration(stability=replace(_STABLE, **sigma)))
+    verdict = _accept(registration(stability=replace(_STABLE, **sigma)))
     assert verdict.outcome == "uncertain"
     assert not verdict.accepted
     assert verdict.codes == ("imprecise",)
@@ -241,15 +224,15 @@ def test_a_pose_with_a_large_sigma_alone_is_uncertain(sigma, value, limit, text)
 
 
 def test_a_higher_limit_accepts_an_uncertain_pose():
-    imprecise = _registration(stability=replace(_STABLE, sigma_m=0.03, sigma_rad=0.01))
+    imprecise = registration(stability=replace(_STABLE, sigma_m=0.03, sigma_rad=0.01))
     assert _accept(imprecise, max_sigma_m=0.05, max_sigma_deg=1.0).accepted
 
 
 def test_a_doubt_outweighs_a_large_sigma():
-    imprecise = _registration(stability=replace(_STABLE, sigma_m=0.03))
+    imprecise = registration(stability=replace(_STABLE, sigma_m=0.03))
     sliding = replace(imprecise, stability=replace(imprecise.stability, perturbed_offset_m=0.3))
-    assert _accept(imprecise, _registration(_ELSEWHERE)).codes == ("ambiguous",)
-    assert _accept(sliding, _registration(_ELSEWHERE)).codes == ("not_observable", "ambiguous")
+    assert _accept(imprecise, registration(ELSEWHERE)).codes == ("ambiguous",)
+    assert _accept(sliding, registration(ELSEWHERE)).codes == ("not_observable", "ambiguous")
 
 
 def test_a_margin_asks_for_smaller_sigmas():
@@ -272,7 +255,7 @@ def test_a_pose_that_nothing_holds_in_a_direction_is_none(sigma_m, status):
     assert ("leaves its pose open" in found.reason) == (status == "not_placed")
 
 
-_ONE = _registration()
+_ONE = registration()
 
 
 @pytest.mark.parametrize(
@@ -290,7 +273,7 @@ def test_a_figure_that_meets_its_limit_passes(exactly, changed):
 
 
 def test_a_pose_is_firm_if_points_constrain_every_direction():
-    assert [is_well_constrained(_registration(weakest=weakest).visibility, _CONFIG) for weakest in (7.9, 8.0)] == [
+    assert [is_well_constrained(registration(weakest=weakest).visibility, _CONFIG) for weakest in (7.9, 8.0)] == [
         False,
         True,
     ]
@@ -315,7 +298,7 @@ def test_a_rough_pose_is_dropped_only_with_a_margin():
 )
 def test_what_may_be_accepted_has_no_equal_elsewhere(distinctive, apart_m, possible):
     found = [
-        _registration(pose("t", "s", (side * 0.5 * apart_m, 0, 0)), distinctive=count)
+        registration(pose("t", "s", (side * 0.5 * apart_m, 0, 0)), distinctive=count)
         for side, count in zip((1.0, -1.0), distinctive, strict=False)
     ]
     assert may_be_accepted(found, _CONFIG) is possible
@@ -325,83 +308,10 @@ def test_what_may_be_accepted_has_no_equal_elsewhere(distinctive, apart_m, possi
     ("fitness", "outcome"), [(0.0, "reject"), (0.199, "reject"), (0.2, "reject"), (0.201, "accept")]
 )
 def test_without_verification_the_fitness_decides(fitness, outcome):
-    pair = PairRegistration("t", "s", _HERE, fitness, 0.1, 10, converged=True, iterations=3, engine="test")
+    pair = PairRegistration("t", "s", HERE, fitness, 0.1, 10, converged=True, iterations=3, engine="test")
     verdict = accept_by_fitness(pair, MergeConfig())
     assert verdict.outcome == outcome
     if outcome == "reject":
         assert verdict.codes == ("low_fitness",)
         assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (fitness, 0.2)
         assert f"fitness {fitness:.3f} is not above 0.2" in verdict.reasons[0].text
-
-
-def _facing(at, facing, distinctive):
-    """Make a registration with so many points that face the x axis and agree nowhere else."""
-    found = _registration(at, distinctive=distinctive)
-    score = replace(
-        found.visibility,
-        violating=np.zeros(100, dtype=bool),
-        agreeing=np.arange(facing, dtype=np.int32),
-        agreeing_normals=np.tile(np.float16([1.0, 0.0, 0.0]), (facing, 1)),
-    )
-    return replace(found, visibility=score)
-
-
-def test_the_pose_that_leads_all_others_is_the_first():
-    slid = [_facing(pose("t", "s", (x_m, 0.0, 0.0)), 1, count) for x_m, count in ((4.0, 900), (5.0, 850), (6.0, 800))]
-    true = _facing(pose("t", "s", (7.0, 0.0, 0.0)), 50, 700)
-    for found in ([*slid, true], [true, *slid], [slid[2], true, slid[0], slid[1]]):
-        assert likeliest_first(found) == [true, *slid]
-    assert likeliest_first(slid[::-1]) == slid
-    assert likeliest_first([]) == []
-
-
-def test_a_pose_that_leads_by_facing_points_is_accepted():
-    slid, true = _facing(pose("t", "s", (8.0, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (5.0, 0.0, 0.0)), 80, 700)
-    assert _accept(*likeliest_first([slid, true])).accepted
-    few = _facing(pose("t", "s", (5.0, 0.0, 0.0)), 6, 600)
-    assert _accept(*likeliest_first([slid, few])).outcome == "undecided"
-
-
-def test_facing_points_do_not_outweigh_more_evidence():
-    slid, true = _facing(pose("t", "s", (6.5, 0.0, 0.0)), 1, 900), _facing(pose("t", "s", (7.5, 0.0, 0.0)), 80, 700)
-    assert true.lead_over(slid) > _CONFIG.min_log_odds_margin
-    (reason,) = _accept(*likeliest_first([slid, true])).reasons
-    assert (reason.code, reason.competing) == ("ambiguous", slid)
-    assert (reason.value, reason.limit) == (true.evidence - slid.evidence, 0.0)
-    assert "a pose 1.00 m away agrees with more surfaces" in reason.text
-
-
-_BESIDE = pose("t", "s", (5.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("beside", "changed", "outcome"),
-    [
-        (_BESIDE, {}, "undecided"),
-        (pose("t", "s", (6.5, 0.0, 0.0)), {}, "accept"),
-        (_ELSEWHERE, {}, "accept"),
-        (_BESIDE, {"distinctive": 50}, "accept"),
-        (_BESIDE, {"violate": 13, "distinctive": 3000}, "accept"),
-    ],
-    ids=["same attitude", "beyond a vehicle", "turned", "too little evidence", "contradicted"],
-)
-def test_a_pose_one_period_on_leaves_it_undecided(beside, changed, outcome):
-    """Where surfaces repeat, both LiDARs at one place have the largest common view."""
-    best, other = _registration(distinctive=4000), _registration(beside, **{"distinctive": 300, **changed})
-    assert best.lead_over(other) > _CONFIG.min_log_odds_margin
-    assert (other.evidence > _CONFIG.min_evidence) == (changed != {"distinctive": 50})
-    assert may_compete(best, other, _CONFIG) or outcome == "accept"
-    verdict = _accept(best, other)
-    assert verdict.outcome == outcome
-    if outcome == "undecided":
-        (reason,) = verdict.reasons
-        assert (reason.code, reason.competing) == ("held_by_repetition", other)
-        assert (reason.value, reason.limit) == (other.evidence, _CONFIG.min_evidence)
-        assert "a pose 5.00 m away is possible too (evidence" in reason.text
-
-
-def test_between_stops_other_links_tell_what_repeats():
-    pair = [_registration(distinctive=4000), _registration(_BESIDE, distinctive=300)]
-    assert not _accept(*pair).accepted
-    stops = [replace(each, visibility=replace(each.visibility, between_stops=True)) for each in pair]
-    assert competing_poses(stops, _CONFIG) == []

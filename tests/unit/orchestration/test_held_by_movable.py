@@ -10,7 +10,7 @@ import pytest
 from multilica.config import CalibrationConfig
 from multilica.orchestration import movable
 from multilica.orchestration.movable import _repetition_of, doubt_movable
-from multilica.registration.movable import MovableCells
+from multilica.registration.movable import MovableCells, MovableSpace
 from multilica.stages.refine import RefinedRig
 from tests.unit.made_pairs import pair, pose, registration
 
@@ -61,7 +61,7 @@ def test_the_shift_widens_what_moved_objects_hold(monkeypatch, sigma_m, is_held)
     of_all, of_fixed = (np.diag([1e-8] * 3 + [sigma**2] * 3) for sigma in (0.002, sigma_m))
     rig = RefinedRig({"t": _POSES["t"], "s": _POSES["s"]}, {"s": of_all}, {}, None)
     there = replace(rig, poses={**rig.poses, "s": pose("t", "s", (1.1, 0.0, 0.0), 0.3)}, covariances={"s": of_fixed})
-    cells = MovableCells(np.eye(3), np.array([1]), np.array([1]))
+    cells = MovableSpace((MovableCells(np.eye(3), np.array([1]), np.array([1])),))
     for name, made in (
         ("_moving_points", np.ones((1, 3))),
         ("_movable_cells", cells),
@@ -81,7 +81,8 @@ def test_the_shift_widens_what_moved_objects_hold(monkeypatch, sigma_m, is_held)
 
 def test_what_moved_and_what_can_move_are_left_out_apart():
     """The pairs of one LiDAR share what is fixed of it, unless only the others have several frames."""
-    cells, known = MovableCells(np.eye(3), np.array([1, 2]), np.array([1])), pair(_POSES["s"])
+    cells = MovableSpace((MovableCells(np.eye(3), np.array([1, 2]), np.array([1])),))
+    known = pair(_POSES["s"])
     of_movable, of_moved, again = (
         {each.target, each.source}
         for each in (movable._request(known, of) for of in (cells, cells.of_moved, cells.of_moved))

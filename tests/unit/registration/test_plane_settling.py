@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
@@ -83,7 +84,8 @@ def _ended(x_deg, y_deg, sigma_m, matches):
 
 
 def _ends_at(first):
-    found = plane_settling.settle_beside_lines(None, None, _ended(*first), _SIGMAS).pose
+    source = SimpleNamespace(upward_axis=2)
+    found = plane_settling.settle_beside_lines(None, source, _ended(*first), _SIGMAS).pose
     return np.rad2deg(found.distance_to(_TRUTH)[1])
 
 
@@ -99,6 +101,14 @@ def test_the_smaller_residuals_of_the_truth_win(ends, first):
 def test_a_way_of_two_turns_is_gone(ends):
     ends((0.0, 0.0, 0.02, 1000), (0.0, 1.0, 0.026, 1100), (1.0, 1.0, 0.035, 1200))
     assert _ends_at((1.0, 1.0, 0.035, 1200)) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("upward_axis", [0, 1, 2])
+def test_turns_are_across_the_scan_lines(upward_axis):
+    turned = [_TRUTH.inverse() @ each for each in plane_settling._turned(_TRUTH, upward_axis)]
+    axes = np.array([Rotation.from_matrix(each.rotation).as_rotvec() for each in turned])
+    assert axes[:, upward_axis] == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.matrix_rank(axes, tol=1e-6) == 2
 
 
 @pytest.mark.parametrize("other", [(0.0, 0.0, 0.029, 1200), (0.0, 0.0, 0.01, 300)], ids=["alike", "few matches"])

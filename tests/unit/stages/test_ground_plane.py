@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.stages.ground import estimate_ground, estimate_level
+from multilica.stages.ground import estimate_ground, estimate_level, find_levels, rotations_of
 from tests.selection import some_of
 
 
@@ -160,3 +160,28 @@ def test_clouds_of_placed_lidars_give_the_level():
     assert level.xyz_m[2] == pytest.approx(1.9, abs=0.05)
     assert level.rotation == pytest.approx(T_base_target.rotation, abs=0.02)
     assert estimate_level("top", {"rear": clouds["rear"]}, {}, CalibrationConfig()) is None
+
+
+_CEILING = np.stack([*np.random.default_rng(1).uniform(-9, 9, (2, 6_000)), np.full(6_000, 3.4)], axis=1)
+
+
+@pytest.mark.parametrize("rpy_deg", [(3, -5, 0), (180, 0, 0), (0, -90, 0), (0, 90, 20), (90, 0, 0), (-90, 10, 0)])
+@pytest.mark.parametrize("above_m", [np.empty((0, 3)), _CEILING], ids=["street", "below a ceiling"])
+def test_the_ground_is_found_whichever_axis_is_up(rpy_deg, above_m):
+    """A ceiling and a facade may be the ground."""
+    T_base_target = RigidTransform.from_xyz_rpy("level", "top", [0, 0, 1.9], np.deg2rad(rpy_deg))
+    points_m = T_base_target.inverse().apply(np.concatenate([_street(), above_m]))
+    levels = find_levels("top", {"top": points_m}, {}, CalibrationConfig())
+    upright = [float(level.rotation[2] @ T_base_target.rotation[2]) for level in levels]
+    (right,) = (level for level, cosine in zip(levels, upright, strict=True) if cosine > 0.999)
+    assert right.xyz_m == pytest.approx([0.0, 0.0, 1.9], abs=0.05)
+    assert (min(upright) < -0.999) == bool(len(above_m))
+    assert len(levels) <= 3
+    assert (right is levels[0]) or rpy_deg != (3, -5, 0)
+    assert len(rotations_of(levels)) == len(levels)
+
+
+def test_without_ground_each_axis_may_be_up():
+    ups = rotations_of(find_levels("top", {"top": np.ones((9, 3))}, {}, CalibrationConfig()))
+    assert {tuple(up[2]) for up in ups} == {tuple(sign * axis) for axis in np.eye(3) for sign in (1.0, -1.0)}
+    assert np.linalg.det(ups) == pytest.approx(1.0)

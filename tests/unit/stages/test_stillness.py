@@ -221,6 +221,17 @@ def test_a_standing_person_is_kept() -> None:
     assert len(dropped_m) < 0.05 * sum(int(mask.sum()) for _, mask in visited)
 
 
+@pytest.mark.parametrize("turns", [1, 2])
+def test_any_axis_may_be_up(turns: int) -> None:
+    """Cells about the axis along which a LiDAR looks would be narrower than the distance of its beams."""
+    ahead = [scan.selected(scan.points_m[:, 0] > 0.7 * np.abs(scan.points_m[:, 1])) for scan in _drive(_ROOM_M, 0.0)]
+    visited = [_with_visitor(scan, 25.0 * frame - 50.0)[0] for frame, scan in enumerate(ahead)]
+    rolled = [Scan(np.roll(scan.points_m, turns, axis=1)) for scan in visited]
+    dropped_m, rolled_m = (drop_moving(scans, _CONFIG)[1] for scans in (visited, rolled))
+    assert len(dropped_m) > 100
+    np.testing.assert_array_equal(np.roll(dropped_m, turns, axis=1), rolled_m)
+
+
 def test_cells_of_directions_are_as_wide_as_they_are_high():
     yaw, pitch = (each.ravel() for each in np.meshgrid(np.arange(0.0, 2.0 * np.pi, 0.01), np.arange(-0.3, 0.2, 0.01)))
     points_m = 10.0 * np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)], axis=1)
