@@ -7,17 +7,20 @@ Other vehicles: ``python -c "from tests.bench.robustness.random_rigs import main
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from unittest.mock import patch
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.errors import UnfitSnapshotError, UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
 from multilica.results import LidarPlacement
-from multilica.simulate import RIGS, SCENES, simulate_snapshot
+from multilica.simulate import RIGS, SCENES, Simulation, simulate_snapshot
 from multilica.simulate import models as lidars
 from multilica.simulate.rigs import Mount, Rig, articulated_truck, car, shuttle
 from multilica.simulate.sensors import SensorModel
@@ -39,17 +42,25 @@ _SPINNING = (
 )
 _SOLID = (lidars.AERIES_II, lidars.AVIA, lidars.FALCON, lidars.LONG_25, lidars.NARROW, lidars.SOLID_70)
 _FLOWS = ("traffic:one_way", "traffic:both_ways", "traffic:queue")
+_AXES = Rotation.create_group("O").as_matrix()
+_SHARE_TURNED = 0.2
+"""Of LiDARs that hang upside down, or whose driver has another axis than z up."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomCase:
-    """A vehicle in a scene; all follows from the seed."""
+    """A vehicle in a scene; all follows from the seed.
+
+    Args:
+        axes: rotation (3, 3) of the frames that the drivers report, of those that are turned.
+    """
 
     rig: Rig
     scene: str
     frames: int
     disturbances: tuple[str, ...]
     seed: int
+    axes: Mapping[str, np.ndarray]
 
     @classmethod
     def of(cls, seed: int) -> RandomCase:
@@ -63,7 +74,9 @@ class RandomCase:
             disturbances = (str(rng.choice(_FLOWS)),)
         elif rng.random() < 0.2:
             disturbances = ("pedestrians",)
-        return cls(rig, scene, frames, disturbances, seed)
+        turned = [mount.name for mount in rig.mounts if rng.random() < _SHARE_TURNED]
+        axes = {name: _AXES[rng.integers(len(_AXES))] for name in turned}
+        return cls(rig, scene, frames, disturbances, seed, axes)
 
 
 def random_rig(rng: np.random.Generator) -> Rig:
@@ -126,6 +139,7 @@ def _run(seed: int) -> CaseOutcome | None:
             made = simulate_snapshot(_NAME, drawn.scene, seed, frames=drawn.frames, disturbances=drawn.disturbances)
         except UsageError:
             return None
+    made = _with_axes(made, drawn.axes)
     start_s = time.process_time()
     try:
         result = calibrate(made.snapshot, with_overrides(CalibrationConfig(), ["runtime.workers=1"]))
@@ -136,3 +150,28 @@ def _run(seed: int) -> CaseOutcome | None:
         placements = [each for each in result.placements if each.lidar != result.target]
         outcomes = [outcome_of(made, result.target, each) for each in placements]
     return CaseOutcome(case, drawn.frames, tuple(outcomes), time.process_time() - start_s)
+
+
+def _with_axes(made: Simulation, axes: Mapping[str, np.ndarray]) -> Simulation:
+    """Return a simulation as drivers report it whose frames are turned."""
+    turns = {
+        name: RigidTransform.from_rotation_translation(name, name, each, np.zeros(3)) for name, each in axes.items()
+    }
+    lidars = [
+        replace(
+            lidar,
+            scans=tuple(
+                replace(scan, points_m=turns[lidar.name].apply(scan.points_m).astype(np.float32))
+                for scan in lidar.scans
+            ),
+        )
+        if lidar.name in turns
+        else lidar
+        for lidar in made.snapshot.lidars
+    ]
+    poses = {
+        name: pose @ turns[name].inverse() if name in turns else pose
+        for name, pose in made.truth.T_target_source.items()
+    }
+    snapshot = replace(made.snapshot, lidars=tuple(lidars), static_transforms=())
+    return Simulation(snapshot, Extrinsics(made.truth.target, poses))

@@ -8,10 +8,10 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
-from multilica.simulate import RIGS
+from multilica.simulate import RIGS, simulate_snapshot
 from tests.bench.robustness import hard
 from tests.bench.robustness.hard import CaseOutcome, Outcome, claims, figures, time_by_street
-from tests.bench.robustness.random_rigs import RandomCase, _run
+from tests.bench.robustness.random_rigs import RandomCase, _run, _with_axes
 from tests.bench.support.cases import Case
 
 _NOWHERE = Outcome(LidarPlacement("rear", "ambiguous"), "left")
@@ -78,6 +78,20 @@ def test_a_random_vehicle_follows_from_its_seed():
     assert (one.scene, one.frames, one.disturbances) == (again.scene, again.frames, again.disturbances)
     assert one.rig.mounts != other.rig.mounts
     assert 2 <= len(one.rig.mounts) <= 5
+
+
+def test_turned_frames_keep_the_vehicle():
+    """Points lie at the same places of the vehicle, by the truth of turned frames."""
+    made = simulate_snapshot("sides", "street", 3, frames=1)
+    axes = {"left": np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])}
+    turned = _with_axes(made, axes)
+    for name in made.snapshot.names:
+        before_m, after_m = (
+            each.truth.T_target_source[name].apply(each.snapshot[name].points_m) for each in (made, turned)
+        )
+        np.testing.assert_allclose(after_m, before_m, atol=1e-4)
+    assert np.array_equal(made.snapshot["left"].points_m, turned.snapshot["left"].points_m) is False
+    assert sum(len(RandomCase.of(seed).axes) for seed in range(30)) > 5
 
 
 @pytest.mark.in_turn
