@@ -14,7 +14,8 @@ from pathlib import Path
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.fleet.listing import FleetLog, LogPattern, find_logs
+from multilica.fleet.listing import FleetLog, find_logs
+from multilica.fleet.patterns import LogPattern
 from multilica.fleet.plan import Plan, QueuedLog, full_disk_named
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import Store

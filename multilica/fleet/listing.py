@@ -17,15 +17,13 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.patterns import LogPattern
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
 _MANIFESTS = (".csv", ".parquet")
-_FIELD = re.compile(r"\{(vehicle|time)(?::([^{}]+))?\}")
-_BRACES = re.compile(r"\{[^{}]*\}|[{}]")
-_DIRECTIVES = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2, "y": 2, "j": 3}
 _END_BYTES = 1 << 20
 
 
@@ -45,62 +43,6 @@ class FleetLog:
     fingerprint: str
     vehicle: str = ""
     time_ns: int | None = None
-
-
-class LogPattern:
-    """Vehicle and time in the path of a log.
-
-    Args:
-        text: such as ``{vehicle}/{time:%Y-%m-%d_%H%M%S}``; it is searched for anywhere in the path. A ``*`` stands for
-            any characters within a folder's name. Times are UTC.
-
-    Raises:
-        UsageError: no field, one twice, other braces, or a part of a time that is not supported.
-    """
-
-    def __init__(self, text: str) -> None:
-        fields = [found[1] for found in _FIELD.finditer(text)]
-        if not fields or len({*fields}) < len(fields):
-            raise UsageError(
-                f"Found the pattern '{text}'; expected {{vehicle}}, {{time:%Y-%m-%d}} or both, for example "
-                "{vehicle}/{time:%Y-%m-%d_%H%M%S}."
-            )
-        if unknown := _BRACES.search(_FIELD.sub("", text)):
-            raise UsageError(
-                f"Found {unknown[0]} in the pattern '{text}'; expected {{vehicle}} or {{time:%Y-%m-%d}}, and * for "
-                "characters that do not matter."
-            )
-        self.text, self._time_format, parts = text, "", iter(_FIELD.split(text))
-        pattern = _literal(next(parts))
-        for name, time_format, literal in zip(parts, parts, parts, strict=True):
-            pattern += self._time(time_format, text) if name == "time" else r"(?P<vehicle>[^/]+?)"
-            pattern += _literal(literal)
-        self._pattern = re.compile(pattern)
-
-    def of(self, source: str) -> tuple[str, int | None] | None:
-        """Return vehicle and time in nanoseconds, empty and None if not asked for; None if the path does not fit."""
-        found = self._pattern.search(source)
-        if found is None:
-            return None
-        vehicle, text = (found.groupdict().get(name) or "" for name in ("vehicle", "time"))
-        if not text:
-            return vehicle, None
-        try:
-            begin = datetime.strptime(text, self._time_format).replace(tzinfo=UTC)
-        except ValueError:  # digits that are no date
-            return None
-        return vehicle, round(begin.timestamp()) * 10**9
-
-    def _time(self, given: str | None, text: str) -> str:
-        self._time_format = given or "%Y-%m-%d"
-        parts = re.split(r"%(.)", self._time_format)
-        unknown = {each for each in parts[1::2] if each not in _DIRECTIVES}
-        if unknown:
-            raise UsageError(
-                f"Found %{min(unknown)} in the pattern '{text}'; expected %Y, %m, %d, %H, %M, %S, %y or %j."
-            )
-        digits = [rf"\d{{{_DIRECTIVES[part]}}}" if index % 2 else re.escape(part) for index, part in enumerate(parts)]
-        return f"(?P<time>{''.join(digits)})"
 
 
 def find_logs(
@@ -293,10 +235,6 @@ def _time_ns(value: object, path: Path) -> int:
         raise UnreadableSourceError(
             f"The manifest {path} has the time {value!r:.60}; expected ISO 8601, or seconds since 1970."
         ) from error
-
-
-def _literal(text: str) -> str:
-    return "[^/]*".join(re.escape(part) for part in text.split("*"))
 
 
 def _fingerprint(path: Path) -> tuple[int, str]:

@@ -114,7 +114,7 @@ def run(
     """
     from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
-    from multilica.fleet.listing import LogPattern
+    from multilica.fleet.patterns import LogPattern
     from multilica.fleet.store.store import open_store
     from multilica.fleet.tasks.guard import LogTaskLimits
     from multilica_cli.progress import show_fleet

@@ -20,7 +20,8 @@ from multilica.errors import (
     UnreadableSourceError,
     UsageError,
 )
-from multilica.fleet.listing import LogPattern, find_logs
+from multilica.fleet.listing import find_logs
+from multilica.fleet.patterns import LogPattern
 from multilica.ingest import find_snapshots, inspect_source, read_snapshot
 from multilica.ingest.metadata import identify_log
 from multilica.ingest.remote import remote_file

@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.listing import LogPattern, find_logs
+from multilica.fleet.listing import find_logs
+from multilica.fleet.patterns import LogPattern
 
 MARCH_NS = int(datetime(2026, 3, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
 
@@ -99,49 +100,6 @@ def test_a_date_of_a_manifest_is_its_first_moment(folder):
     path.write_text("source,time\nlogs/v1/a.mcap,2026-03-01\n")
     (log,) = find_logs([str(path)])
     assert log.time_ns == int(datetime(2026, 3, 1, tzinfo=UTC).timestamp()) * 10**9
-
-
-@pytest.mark.parametrize(
-    ("pattern", "source", "vehicle", "time"),
-    [
-        ("{vehicle}/{time:%Y-%m-%d_%H%M}", "logs/truck-7/2026-03-01_1230.mcap", "truck-7", MARCH_NS),
-        ("/{vehicle}_{time:%Y%m%d%H%M}_*.bag", "x/v 1_202603011230_front.bag", "v 1", MARCH_NS),
-        ("{time:%Y/%m/%d}", "2026/03/01/a.mcap", "", MARCH_NS - 45_000 * 10**9),
-        ("cars/{vehicle}/", "logs/cars/v(1)/a.mcap", "v(1)", None),
-        ("logs-*-{vehicle}/", "logs-{x}-v1/a.mcap", "v1", None),
-    ],
-)
-def test_a_pattern_reads_paths(pattern, source, vehicle, time):
-    assert LogPattern(pattern).of(source) == (vehicle, time)
-
-
-@pytest.mark.parametrize(
-    ("pattern", "source"),
-    [("{vehicle}/{time:%Y-%m-%d}", "logs/2026-13-99.mcap"), ("cars/{vehicle}/", "trucks/v1/a.mcap")],
-)
-def test_a_pattern_does_not_fit_every_path(pattern, source):
-    assert LogPattern(pattern).of(source) is None
-
-
-@pytest.mark.parametrize("pattern", ["", "logs/*", "{vehicle}/{vehicle}", "{time:%Y-%B}", "{name}"])
-def test_a_pattern_without_sense_is_refused(pattern):
-    with pytest.raises(UsageError, match="pattern"):
-        LogPattern(pattern)
-
-
-@pytest.mark.parametrize(
-    ("pattern", "words"),
-    [
-        ("{}/{vehicle}", r"Found \{\} in"),
-        ("{name}/{vehicle}", r"Found \{name\} in"),
-        ("{vehicle}/{time", r"Found \{ in"),
-        ("{vehicle:%Y}}", r"Found \} in"),
-        ("{vehicle}/{ time }", r"expected \{vehicle\} or \{time:%Y-%m-%d\}"),
-    ],
-)
-def test_other_braces_are_told(pattern, words):
-    with pytest.raises(UsageError, match=words):
-        LogPattern(pattern)
 
 
 def test_logs_that_a_pattern_does_not_fit_are_counted(folder):
