@@ -137,7 +137,7 @@ class Plan:
                 found = identify([address for _, address, *_ in rows])
                 settled = []
                 for (key, _, source, vehicle, begin_ns), log in zip(rows, found, strict=True):
-                    named = vehicle_name(log.vehicle) if log.vehicle else PurePosixPath(source).parent.name or "unknown"
+                    named = vehicle_name(log.vehicle or PurePosixPath(source).parent.name)
                     settled.append((vehicle or named, log.time_ns if begin_ns is None else begin_ns, key))
                 self._base.executemany("UPDATE found SET vehicle = ?, time_ns = ? WHERE key = ?", settled)
 
