@@ -5,25 +5,21 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, time
 from glob import has_magic
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
-
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.manifest import MANIFEST_SUFFIXES, read_manifest
 from multilica.fleet.patterns import LogPattern
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
-_MANIFESTS = (".csv", ".parquet")
 _END_BYTES = 1 << 20
 
 
@@ -81,12 +77,12 @@ def _found(given: str) -> Iterator[FleetLog]:
     scheme = scheme_of(given)
     if scheme:
         require_readable(given)
-        if Path(urlsplit(given).path).suffix in _MANIFESTS:
+        if Path(urlsplit(given).path).suffix in MANIFEST_SUFFIXES:
             raise UsageError(f"The manifest {without_secrets(given)} is an address; expected a file on this machine.")
         yield from _in_bucket(given) if scheme in ("s3", "gs") else [_behind(given)]
         return
     path = Path(given).expanduser()
-    if path.suffix in _MANIFESTS and path.is_file():
+    if path.suffix in MANIFEST_SUFFIXES and path.is_file():
         yield from _in_manifest(path)
     elif path.is_dir():
         yield from (_local(each, path) for each in _logs_below(path))
@@ -187,54 +183,12 @@ def _behind(address: str) -> FleetLog:
 
 
 def _in_manifest(path: Path) -> Iterator[FleetLog]:
-    for row in _rows(path):
-        source = str(row.get("source") or "")
-        if not source:
-            raise UnreadableSourceError(f"A row of the manifest {path} has no source.")
-        listed = Path(source)
+    for row in read_manifest(path):
+        listed = Path(row.source)
         named = Path(*listed.parts[-2:]) if listed.is_absolute() or ".." in listed.parts else listed
         # A missing file fails later, as one of many.
-        log = _behind(source) if scheme_of(source) else _with_source(path.parent / listed, named)
-        begin = row.get("time") or None
-        time_ns = None if begin is None else _time_ns(begin, path)
-        yield replace(log, vehicle=str(row.get("vehicle") or ""), time_ns=time_ns)
-
-
-def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
-    import pyarrow as pa
-    import pyarrow.dataset as pads
-
-    try:
-        table = pads.dataset(path, format=path.suffix[1:])
-        if "source" not in table.schema.names:
-            raise UnreadableSourceError(
-                f"The manifest {path} has the columns {', '.join(table.schema.names)[:200]}; expected source, and "
-                "vehicle and time if they are known."
-            )
-        columns = [name for name in ("source", "vehicle", "time") if name in table.schema.names]
-        for batch in table.to_batches(columns=columns, batch_size=4096):
-            yield from batch.to_pylist()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise UnreadableSourceError(f"The manifest {path} cannot be read as {path.suffix[1:].upper()}.") from error
-
-
-def _time_ns(value: object, path: Path) -> int:
-    """Return a time of a manifest: a date or timestamp, a text in ISO 8601, or seconds or ns since the epoch."""
-    try:
-        if isinstance(value, str) and not re.fullmatch(r"[0-9.]+", value):
-            value = datetime.fromisoformat(value)
-        if isinstance(value, date) and not isinstance(value, datetime):
-            value = datetime.combine(value, time())
-        if isinstance(value, datetime):
-            aware = value if value.tzinfo else value.replace(tzinfo=UTC)
-            return round(aware.timestamp() * 10**6) * 1000
-        number = float(value)  # type: ignore[arg-type]
-        time_ns = int(value) if number > 1e12 else round(number * 10**9)  # type: ignore[call-overload]
-        return int(np.int64(time_ns))
-    except (ValueError, TypeError, OverflowError) as error:
-        raise UnreadableSourceError(
-            f"The manifest {path} has the time {value!r:.60}; expected ISO 8601, or seconds since 1970."
-        ) from error
+        log = _behind(row.source) if scheme_of(row.source) else _with_source(path.parent / listed, named)
+        yield replace(log, vehicle=row.vehicle, time_ns=row.time_ns)
 
 
 def _fingerprint(path: Path) -> tuple[int, str]:

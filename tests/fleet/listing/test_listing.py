@@ -95,13 +95,6 @@ def test_a_manifest_gives_vehicle_and_time(folder, form):
     assert one.size_bytes > 0 == four.size_bytes
 
 
-def test_a_date_of_a_manifest_is_its_first_moment(folder):
-    path = folder / "manifest.csv"
-    path.write_text("source,time\nlogs/v1/a.mcap,2026-03-01\n")
-    (log,) = find_logs([str(path)])
-    assert log.time_ns == int(datetime(2026, 3, 1, tzinfo=UTC).timestamp()) * 10**9
-
-
 def test_logs_that_a_pattern_does_not_fit_are_counted(folder):
     unlike = []
     logs = list(find_logs([str(folder / "logs")], LogPattern("{vehicle}/a"), unlike.append))
@@ -115,22 +108,6 @@ def test_a_pattern_that_fits_no_log_is_refused(folder):
         list(find_logs([str(folder / "logs")], LogPattern("cars/{vehicle}/")))
     (folder / "none").mkdir()
     assert list(find_logs([str(folder / "none")], LogPattern("cars/{vehicle}/"))) == []
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("", "cannot be read as CSV"),
-        ("path,vehicle\na,b\n", "has the columns path, vehicle; expected source"),
-        ("source,time\na.mcap,yesterday\n", "has the time 'yesterday'"),
-        ("source,vehicle\n,v1\n", "has no source"),
-        ("source,time\na.mcap,12345678901234567890123\n", "has the time"),
-    ],
-)
-def test_a_manifest_that_cannot_be_used_is_refused(tmp_path, content, words):
-    (tmp_path / "logs.csv").write_text(content)
-    with pytest.raises(UnreadableSourceError, match=words):
-        list(find_logs([str(tmp_path / "logs.csv")]))
 
 
 def test_nothing_is_told(tmp_path):
