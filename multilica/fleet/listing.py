@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from glob import has_magic
 from pathlib import Path, PurePosixPath
@@ -15,12 +16,17 @@ from urllib.parse import urlsplit
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.manifest import MANIFEST_SUFFIXES, read_manifest
 from multilica.fleet.patterns import LogPattern
+from multilica.fleet.sources import ListedLog
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
 _END_BYTES = 1 << 20
+_BAG = "metadata.yaml"
+_RESULTS = ("result.mcap", "result.partial.mcap")
+_BESIDE_RESULTS = ("result.json", "recording.rrd", "recording.partial.rrd")
+_STORED_RESULT = re.compile(r"runs/[^/]+/[^/]+/[0-9a-f]{32}/result\.mcap$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +81,18 @@ def find_logs(
 
 def _found(given: str) -> Iterator[FleetLog]:
     scheme = scheme_of(given)
-    if scheme:
-        require_readable(given)
-        if Path(urlsplit(given).path).suffix in MANIFEST_SUFFIXES:
-            raise UsageError(f"The manifest {without_secrets(given)} is an address; expected a file on this machine.")
-        yield from _in_bucket(given) if scheme in ("s3", "gs") else [_behind(given)]
+    if not scheme:
+        yield from map(_read, _listed(given))
         return
-    path = Path(given).expanduser()
+    require_readable(given)
+    if Path(urlsplit(given).path).suffix in MANIFEST_SUFFIXES:
+        raise UsageError(f"The manifest {without_secrets(given)} is an address; expected a file on this machine.")
+    yield from _in_bucket(given) if scheme in ("s3", "gs") else [_behind(given)]
+
+
+def _listed(given: str) -> Iterator[ListedLog]:
+    # A Path would drop the ./ before a name that begins with ~, and refuse a user that does not exist.
+    path = Path(os.path.expanduser(given))  # noqa: PTH111
     if path.suffix in MANIFEST_SUFFIXES and path.is_file():
         yield from _in_manifest(path)
     elif path.is_dir():
@@ -91,47 +102,93 @@ def _found(given: str) -> Iterator[FleetLog]:
     elif path.exists():
         raise UnreadableSourceError(f"{given} is neither a file nor a folder.")
     elif has_magic(given):
-        fixed = next(index for index, part in enumerate(path.parts) if has_magic(part))
-        base, glob = Path(*path.parts[:fixed]), str(Path(*path.parts[fixed:]))
-        found = sorted(each for each in base.glob(glob) if not each.name.startswith("."))
-        if not found:
-            raise SourceNotFoundError(f"No file matches {given}.")
-        for each in found:
-            logs = _logs_below(each) if each.is_dir() else [each] if each.is_file() else []
-            yield from (_local(log, base) for log in logs)
+        yield from _matching(given, path)
     else:
         raise SourceNotFoundError(f"Nothing exists at {given}.")
 
 
+def _matching(given: str, path: Path) -> Iterator[ListedLog]:
+    fixed = next(index for index, part in enumerate(path.parts) if has_magic(part))
+    base, glob = Path(*path.parts[:fixed]), str(Path(*path.parts[fixed:]))
+    found = sorted(each for each in base.glob(glob) if not each.name.startswith("."))
+    if not found:
+        raise SourceNotFoundError(f"No file matches {given}.")
+    for each in found:
+        if any(_is_store(base / folder) for folder in each.relative_to(base).parents):
+            continue
+        if each.is_dir():
+            yield from (_local(log, base) for log in _logs_below(each))
+        elif each.is_file() and not _is_result(each):
+            yield _local(each, base)
+
+
 def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[Path]:
-    """Yield recordings, bags and folders of point files; a link to a folder above leads nowhere."""
+    """Yield recordings, bags and folders of point files; a link to a folder above leads nowhere, nor does a store."""
     real = folder.resolve()
-    if real in above:
+    if real in above or _is_store(folder):
         return
-    entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
-    if (folder / "metadata.yaml").is_file() or any(
-        named_content(each) == "cloud" for each in entries if each.is_file()
-    ):
+    if (folder / _BAG).is_file():
         yield folder
         return
-    for each in entries:
-        if each.is_dir():
-            yield from _logs_below(each, above | {real})
-        elif (each.is_file() or not each.exists()) and named_content(each) == "recording":
-            yield each
+    entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
+    logs = (log for each in entries for log in _logs_at(each, above | {real}))
+    if not any(named_content(each) == "cloud" for each in entries if each.is_file()):
+        yield from logs
+        return
+    # Point files beside recordings are exports, say, and no log.
+    found = [*logs]
+    yield from found if any(not each.is_dir() or (each / _BAG).is_file() for each in found) else [folder]
 
 
-def _local(path: Path, base: Path) -> FleetLog:
-    """Return a log below a folder; its source begins with the folder's name."""
-    return _with_source(path, base.resolve().name / path.relative_to(base))
+def _logs_at(path: Path, above: frozenset[Path]) -> Iterator[Path]:
+    if path.is_dir():
+        yield from _logs_below(path, above)
+    elif (path.is_file() or not path.exists()) and named_content(path) == "recording" and not _is_result(path):
+        yield path
 
 
-def _with_source(path: Path, source: Path) -> FleetLog:
+def _is_store(folder: Path) -> bool:
     try:
-        size, fingerprint = _fingerprint(path)
+        with (folder / "fleet.json").open("rb") as file:
+            return b"multilica fleet store" in file.read(1000)
+    except OSError:
+        return False
+
+
+def _is_result(path: Path) -> bool:
+    """Return whether a file is the result of a run, which holds the scans of a log once more."""
+    return path.name in _RESULTS and any((path.parent / name).exists() for name in _BESIDE_RESULTS)
+
+
+def _local(path: Path, base: Path) -> ListedLog:
+    """Return a log below a folder, or a bag that was given itself; its source begins with the folder's name."""
+    if path == base:
+        path = path.resolve() if path.name in ("", "..") else path.absolute()
+        base = path.parent
+    folder, below = base.resolve(), path.relative_to(base)
+    return ListedLog(os.fspath(path.absolute()), (folder.name / below).as_posix(), os.fspath(folder / below))
+
+
+def _in_manifest(manifest: Path) -> Iterator[ListedLog]:
+    for row in read_manifest(manifest):
+        if scheme_of(row.source):
+            yield ListedLog(row.source, "", "", row.vehicle, row.time_ns)
+            continue
+        listed = Path(row.source)
+        named = Path(*listed.parts[-2:]) if listed.is_absolute() or ".." in listed.parts else listed
+        address = (manifest.parent / listed).absolute()
+        whole = os.path.abspath(address)  # noqa: PTH100 - a missing file fails later, as one of many
+        yield ListedLog(os.fspath(address), named.as_posix(), whole, row.vehicle, row.time_ns)
+
+
+def _read(log: ListedLog) -> FleetLog:
+    if not log.path:
+        return replace(_behind(log.address), vehicle=log.vehicle, time_ns=log.time_ns)
+    try:
+        size, fingerprint = _fingerprint(Path(log.address))
     except OSError as error:
         size, fingerprint = 0, f"unreadable: {error.strerror}"
-    return FleetLog(os.fspath(path.absolute()), source.as_posix(), size, fingerprint)
+    return FleetLog(log.address, log.source, size, fingerprint, log.vehicle, log.time_ns)
 
 
 def _in_bucket(given: str) -> Iterator[FleetLog]:
@@ -147,7 +204,7 @@ def _in_bucket(given: str) -> Iterator[FleetLog]:
             found |= system.find(folder, detail=True)
     logs: dict[str, list[str]] = {}
     bags = _bags(found)
-    for each in sorted(found):
+    for each in sorted(each for each in found if not _is_result_of(each, found)):
         bag = next((f"{above}/" for above in reversed(PurePosixPath(each).parents) if str(above) in bags), "")
         if named_content(Path(each)) == "recording" or bag:
             logs.setdefault(bag or each, []).append(each)
@@ -171,6 +228,13 @@ def _bags(files: Iterable[str]) -> set[str]:
     return folders[True] & folders[False]
 
 
+def _is_result_of(path: str, files: Container[str]) -> bool:
+    """Return whether a file in a bucket is the result of a run; a glob finds those of a store without their folder."""
+    folder, _, name = path.rpartition("/")
+    beside = name in _RESULTS and any(f"{folder}/{each}" in files for each in _BESIDE_RESULTS)
+    return beside or _STORED_RESULT.search(path) is not None
+
+
 def _tag(details: Mapping[str, Any]) -> str:
     """Return what a server tells of the content of a file."""
     return str(details.get("ETag") or details.get("etag") or details.get("md5Hash") or "").strip('"')
@@ -180,15 +244,6 @@ def _behind(address: str) -> FleetLog:
     """Return a file at an address; what tells a change of it is known only when it is read."""
     source = without_secrets(address)
     return FleetLog(address, source, 0, hashlib.sha256(source.encode()).hexdigest()[:32])
-
-
-def _in_manifest(path: Path) -> Iterator[FleetLog]:
-    for row in read_manifest(path):
-        listed = Path(row.source)
-        named = Path(*listed.parts[-2:]) if listed.is_absolute() or ".." in listed.parts else listed
-        # A missing file fails later, as one of many.
-        log = _behind(row.source) if scheme_of(row.source) else _with_source(path.parent / listed, named)
-        yield replace(log, vehicle=row.vehicle, time_ns=row.time_ns)
 
 
 def _fingerprint(path: Path) -> tuple[int, str]:

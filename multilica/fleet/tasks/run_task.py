@@ -331,10 +331,15 @@ def _treated(request: LogTask | str) -> LogRow | LogIdentity:
 
 def _below_folder(request: LogTask) -> LogTask:
     """Read a local log by its path below what was given, so that files and tables hold no path of the machine."""
-    folder = request.address.removesuffix(request.source)
-    if folder not in {"", request.address} and Path(folder).is_dir():
+    folder, below = request.address.removesuffix(request.source), request.source
+    if folder in {"", request.address}:
+        return request
+    while below.startswith("~"):  # it would be read as the home of a user
+        name, _, below = below.partition("/")
+        folder += f"{name}/"
+    if below and Path(folder).is_dir():
         os.chdir(folder)
-        return replace(request, address=request.source)
+        return replace(request, address=below)
     return request
 
 

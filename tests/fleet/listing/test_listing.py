@@ -5,22 +5,22 @@ from datetime import UTC, datetime
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from fsspec.implementations.dirfs import DirFileSystem
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet import listing
 from multilica.fleet.listing import find_logs
 from multilica.fleet.patterns import LogPattern
+from multilica.fleet.store.store import open_store
+from tests.fleet.support.listed import sources, write_files
 
 MARCH_NS = int(datetime(2026, 3, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
 
 
 @pytest.fixture
 def folder(tmp_path):
-    for path in ("logs/v1/a.mcap", "logs/v1/.hidden.mcap", "logs/v1/notes.txt", "logs/v2/b.bag", "logs/v2/c/d.db3"):
-        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_text(path)
-    for path in ("logs/v2/bag/metadata.yaml", "logs/v2/bag/x_0.mcap", "logs/v2/bag/x_1.mcap", "logs/v2/scans/left.pcd"):
-        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_text(path)
+    write_files(tmp_path / "logs", "v1/a.mcap", "v1/.hidden.mcap", "v1/notes.txt", "v2/b.bag", "v2/c/d.db3")
+    write_files(tmp_path / "logs", "v2/bag/metadata.yaml", "v2/bag/x_0.mcap", "v2/bag/x_1.mcap", "v2/scans/left.pcd")
     return tmp_path
 
 
@@ -29,7 +29,7 @@ def test_a_folder_is_searched_to_its_ends_and_a_bag_is_one_log(folder):
     names = ["logs/v1/a.mcap", "logs/v2/b.bag", "logs/v2/bag", "logs/v2/c/d.db3", "logs/v2/scans"]
     assert [log.source for log in logs] == names
     assert [log.address for log in logs] == [str(folder / name) for name in names]
-    assert logs[0].size_bytes == len("logs/v1/a.mcap")
+    assert logs[0].size_bytes == len("v1/a.mcap")
     assert logs[2].size_bytes > 40
     assert len({log.fingerprint for log in logs}) == 5
 
@@ -108,6 +108,44 @@ def test_a_pattern_that_fits_no_log_is_refused(folder):
         list(find_logs([str(folder / "logs")], LogPattern("cars/{vehicle}/")))
     (folder / "none").mkdir()
     assert list(find_logs([str(folder / "none")], LogPattern("cars/{vehicle}/"))) == []
+
+
+def test_point_files_beside_recordings_are_no_log(tmp_path):
+    logs = write_files(
+        tmp_path / "logs", "all.ply", "bus1/a.mcap", "bus1/map.pcd", "bus2/scans/left.pcd", "bus2/rig.ply"
+    )
+    assert sources(logs) == ["logs/bus1/a.mcap", "logs/bus2"]
+    write_files(logs, "bus2/rig/bag/metadata.yaml")
+    assert sources(logs) == ["logs/bus1/a.mcap", "logs/bus2/rig/bag", "logs/bus2/scans"]
+
+
+def test_the_results_of_runs_are_no_logs(tmp_path):
+    logs = write_files(tmp_path / "logs", "a.mcap", "b/result.mcap", "one/result.mcap", "one/result.json")
+    write_files(logs, "two/result.partial.mcap", "two/recording.partial.rrd", "fleet.json")
+    store = open_store(logs / "store", create=True)
+    store.write(f"runs/v1/2026-03/{'0' * 32}/result.mcap", b"")
+    assert sources(logs) == sources(logs / "**/*.mcap") == ["logs/a.mcap", "logs/b/result.mcap"]
+    assert sources(logs / "s*") == sources(logs / "store/*") == sources(logs / "store") == []
+    assert sources(logs / "one/result.mcap") == ["one/result.mcap"]
+
+
+def test_results_in_a_bucket_are_no_logs(tmp_path, monkeypatch):
+    stored = f"logs/store/runs/v1/2026-03/{'0' * 32}/result.mcap"
+    write_files(tmp_path / "bucket", stored, "logs/run/result.mcap", "logs/run/result.json", "logs/b/result.mcap")
+    disk = DirFileSystem(str(tmp_path))
+    monkeypatch.setattr(listing, "open_file_system", lambda url: (disk, url.removeprefix("s3://")))
+    assert sources("s3://bucket/logs") == ["s3://bucket/logs/b/result.mcap"]
+    with pytest.raises(SourceNotFoundError, match="There is no recording"):
+        sources("s3://bucket/logs/store/runs/*/*/*/result.mcap")
+
+
+def test_a_bag_given_itself_has_the_name_of_its_folder(folder, monkeypatch):
+    bag, scans = folder / "logs/v2/bag", folder / "logs/v2/scans"
+    wanted = ["v2/bag", "v2/scans"]
+    assert sources(bag, scans) == wanted
+    monkeypatch.chdir(bag)
+    assert sources(".", "../scans") == sources("../bag/", scans) == wanted
+    assert [log.address for log in find_logs([".", "../scans/."])] == [str(bag), f"{bag}/../scans"]
 
 
 def test_nothing_is_told(tmp_path):

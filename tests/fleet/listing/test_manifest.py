@@ -77,7 +77,6 @@ def test_a_time_of_a_manifest_has_any_unit(tmp_path, text):
 @pytest.mark.parametrize(
     "times",
     [
-        pa.array([DAY_NS, None], pa.timestamp("ns", tz="Asia/Tokyo")),
         pa.array([DAY_NS // 1000, None], pa.timestamp("us")),
         pa.array([DAY_NS // 10**9, None], pa.timestamp("s")),
         pa.array([date(2026, 3, 1), None]),
@@ -86,10 +85,16 @@ def test_a_time_of_a_manifest_has_any_unit(tmp_path, text):
         pa.array([20260301, None]),
     ],
 )
-def test_times_of_a_parquet_file_have_any_type(tmp_path, times, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
+def test_times_of_a_parquet_file_have_any_type(tmp_path, times):
     path = parquet_of(tmp_path, source=["a", "b"], time=times)
     assert [row.time_ns for row in read_manifest(path)] == [DAY_NS, None]
+
+
+@pytest.mark.parametrize("kind", [pa.timestamp("ns"), pa.timestamp("ns", tz="Asia/Tokyo"), pa.int64()])
+def test_nanoseconds_need_no_other_library(tmp_path, kind, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    path = parquet_of(tmp_path, source=["a", "b"], time=pa.array([DAY_NS + 789, None], kind))
+    assert [row.time_ns for row in read_manifest(path)] == [DAY_NS + 789, None]
 
 
 @pytest.mark.parametrize(
