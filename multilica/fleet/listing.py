@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.manifest import MANIFEST_SUFFIXES, read_manifest
 from multilica.fleet.patterns import LogPattern
-from multilica.fleet.sources import ListedLog
+from multilica.fleet.sources import ListedLog, longer_sources
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
@@ -66,7 +66,8 @@ def find_logs(
     if not given:
         raise UsageError("No logs were given; expected folders, files, globs, s3:// prefixes or a manifest.")
     first, fits = "", 0
-    for log in (log for each in given for log in _found(each)):
+    longer = _longer_sources(given)
+    for log in (log for each in given for log in _found(each, longer)):
         found = pattern.of(log.source) if pattern else None
         if pattern and found is None:
             unlike(log)
@@ -79,10 +80,18 @@ def find_logs(
         raise UsageError(f"The pattern '{pattern.text}' fits no log; the first of them is {first}.")
 
 
-def _found(given: str) -> Iterator[FleetLog]:
+def _longer_sources(given: Sequence[str]) -> dict[tuple[str, str], str]:
+    """Return the sources of logs on this machine that would share one; one folder or glob has none."""
+    local = [each for each in given if not scheme_of(each)]
+    if len(local) == 1 and Path(local[0]).suffix not in MANIFEST_SUFFIXES:
+        return {}
+    return longer_sources(log for each in local for log in _listed(each))
+
+
+def _found(given: str, longer: Mapping[tuple[str, str], str]) -> Iterator[FleetLog]:
     scheme = scheme_of(given)
     if not scheme:
-        yield from map(_read, _listed(given))
+        yield from (_read(log, longer) for log in _listed(given))
         return
     require_readable(given)
     if Path(urlsplit(given).path).suffix in MANIFEST_SUFFIXES:
@@ -181,14 +190,15 @@ def _in_manifest(manifest: Path) -> Iterator[ListedLog]:
         yield ListedLog(os.fspath(address), named.as_posix(), whole, row.vehicle, row.time_ns)
 
 
-def _read(log: ListedLog) -> FleetLog:
+def _read(log: ListedLog, longer: Mapping[tuple[str, str], str]) -> FleetLog:
     if not log.path:
         return replace(_behind(log.address), vehicle=log.vehicle, time_ns=log.time_ns)
     try:
         size, fingerprint = _fingerprint(Path(log.address))
     except OSError as error:
         size, fingerprint = 0, f"unreadable: {error.strerror}"
-    return FleetLog(log.address, log.source, size, fingerprint, log.vehicle, log.time_ns)
+    source = longer.get((log.source, log.path), log.source)
+    return FleetLog(log.address, source, size, fingerprint, log.vehicle, log.time_ns)
 
 
 def _in_bucket(given: str) -> Iterator[FleetLog]:
