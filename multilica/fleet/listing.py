@@ -17,7 +17,7 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageEr
 from multilica.fleet.manifest import MANIFEST_SUFFIXES, read_manifest
 from multilica.fleet.patterns import LogPattern
 from multilica.fleet.sources import ListedLog, longer_sources
-from multilica.fleet.store.store import vehicle_name
+from multilica.fleet.store.store import is_store, vehicle_name
 from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
@@ -123,7 +123,7 @@ def _matching(given: str, path: Path) -> Iterator[ListedLog]:
     if not found:
         raise SourceNotFoundError(f"No file matches {given}.")
     for each in found:
-        if any(_is_store(base / folder) for folder in each.relative_to(base).parents):
+        if any(is_store(base / folder) for folder in each.relative_to(base).parents):
             continue
         if each.is_dir():
             yield from (_local(log, base) for log in _logs_below(each))
@@ -134,7 +134,7 @@ def _matching(given: str, path: Path) -> Iterator[ListedLog]:
 def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[Path]:
     """Yield recordings, bags and folders of point files; a link to a folder above leads nowhere, nor does a store."""
     real = folder.resolve()
-    if real in above or _is_store(folder):
+    if real in above or is_store(folder):
         return
     if (folder / _BAG).is_file():
         yield folder
@@ -154,14 +154,6 @@ def _logs_at(path: Path, above: frozenset[Path]) -> Iterator[Path]:
         yield from _logs_below(path, above)
     elif (path.is_file() or not path.exists()) and named_content(path) == "recording" and not _is_result(path):
         yield path
-
-
-def _is_store(folder: Path) -> bool:
-    try:
-        with (folder / "fleet.json").open("rb") as file:
-            return b"multilica fleet store" in file.read(1000)
-    except OSError:
-        return False
 
 
 def _is_result(path: Path) -> bool:

@@ -45,9 +45,18 @@ from multilica.ingest.remote.remote_file import ConnectionLostError, open_file_s
 from multilica.optional_libraries import needed_for
 from multilica.sinks.files.atomic import atomic_file
 
-_LAYOUT = "fleet.json"
+_LAYOUT, _FORMAT = "fleet.json", "multilica fleet store"
 _BUCKETS = {"s3": "s3fs", "gs": "gcsfs"}
 """Scheme of a bucket -> library that reads and writes it."""
+
+
+def is_store(folder: Path) -> bool:
+    """Return whether a folder of this machine holds a store."""
+    try:
+        with (folder / _LAYOUT).open("rb") as file:
+            return _FORMAT.encode() in file.read(1000)
+    except OSError:
+        return False
 
 
 def folder_name(name: str) -> str:
@@ -295,5 +304,5 @@ def _lay_out(store: Store) -> None:
         others = folder.exists() and (not folder.is_dir() or any(each.name[0] != "." for each in folder.iterdir()))
         if others and not store.exists(_LAYOUT):  # another driver may be laying it out
             raise UsageError(f"{store} is not a fleet store, and not empty; give a new or an empty folder.")
-    values = {"format": "multilica fleet store", "schema_version": SCHEMA_VERSION}
+    values = {"format": _FORMAT, "schema_version": SCHEMA_VERSION}
     store.write(_LAYOUT, (json.dumps(values, indent=2) + "\n").encode())
