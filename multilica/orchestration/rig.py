@@ -32,7 +32,13 @@ from multilica.results import (
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import select_finalists
-from multilica.stages.ground import estimate_ground, estimate_level, middle_of
+from multilica.stages.ground import (
+    estimate_ground,
+    estimate_ground_over,
+    estimate_level,
+    find_levels,
+    middle_of,
+)
 from multilica.stages.known_poses import known_between, known_in_base
 from multilica.stages.merge import (
     merge_along_graph,
@@ -225,7 +231,11 @@ def ground_under(
         if known is None:
             return None, f"the rig file has no pose of the target {target}"
     points_m = np.concatenate([pose.apply(clouds[name]) for name, pose in sorted(poses.items()) if name in clouds])
-    return estimate_ground(target, points_m, config, middle_of(poses), known, biases)
+    middle_m = middle_of(poses)
+    found = estimate_ground(target, points_m, config, middle_m, known, biases)
+    if found[0] is None and (levels := find_levels(target, clouds, poses, config)):
+        return estimate_ground_over(levels, points_m, config, middle_m, known, biases)
+    return found
 
 
 def result_of(state: CalibrationState) -> CalibrationResult:

@@ -2,6 +2,7 @@
 """The ground that the vehicle stands on, as a smooth surface."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -105,6 +106,33 @@ def estimate_ground(
         T_base_target_rig=known,
     )
     return plane, f"{plane.area_m2:.0f} m2 of ground are seen" + (f"; {plane.doubt}" if plane.doubt else "")
+
+
+def estimate_ground_over(
+    levels: Sequence[RigidTransform],
+    points_m: FloatArray,
+    config: CalibrationConfig,
+    middle_m: FloatArray,
+    known: RigidTransform | None = None,
+    biases: Sequence[SensorBias] = (),
+) -> tuple[GroundPlane | None, str]:
+    """Find the ground as `estimate_ground` does, of a target LiDAR whose z axis is not up.
+
+    Args:
+        levels: as `find_levels` finds them, one or more; the first is taken, and others cast a doubt.
+    """
+    target = levels[0].source
+    turn = RigidTransform.from_rotation_translation(target, target, levels[0].rotation, np.zeros(3))
+    turned = None if known is None else known @ turn.inverse()
+    plane, text = estimate_ground(target, turn.apply(points_m), config, turn.apply(middle_m), turned, biases)
+    if plane is None:
+        return None, text
+    doubt = plane.doubt
+    if len(levels) > 1 and not doubt:
+        doubt = f"the z axis of {target} is not up, so a wall or a ceiling may be the ground"
+    normal = turn.rotation.T @ plane.normal
+    T_base_target = plane.T_base_target @ turn
+    return replace(plane, normal=normal, T_base_target=T_base_target, T_base_target_rig=known, doubt=doubt), text
 
 
 def _find_surface(

@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.stages.ground import estimate_ground, estimate_level, find_levels, rotations_of
+from multilica.stages.ground import estimate_ground, estimate_ground_over, estimate_level, find_levels, rotations_of
 from tests.selection import some_of
 
 
@@ -179,6 +179,24 @@ def test_the_ground_is_found_whichever_axis_is_up(rpy_deg, above_m):
     assert len(levels) <= 3
     assert (right is levels[0]) or rpy_deg != (3, -5, 0)
     assert len(rotations_of(levels)) == len(levels)
+
+
+@pytest.mark.parametrize("rpy_deg", [(180, 3, 0), (90, 0, 0), (0, -88, 0)])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_target_whose_z_is_not_up_has_its_pose_over_the_ground(rpy_deg, known):
+    drawn = RigidTransform.from_xyz_rpy("base", "top", [0.4, -0.7, 1.8], np.deg2rad(rpy_deg))
+    points_m = drawn.inverse().apply(_scene("flat") - np.array([0.0, 0.0, 0.1]))
+    middle_m, config = np.array([0.1, 0.0, 0.2]), CalibrationConfig()
+    assert estimate_ground("top", points_m, config, middle_m)[0] is None
+    levels = find_levels("top", {"top": points_m}, {}, config)
+    plane, _ = estimate_ground_over(levels, points_m, config, middle_m, drawn if known else None)
+    true = RigidTransform.from_rotation_translation("base", "top", drawn.rotation, [0.4, -0.7, 1.9])
+    assert plane.normal == pytest.approx(true.rotation[2], abs=2e-3)
+    assert plane.T_base_target.xyz_m[2] == plane.offset_m == pytest.approx(1.9, abs=0.01)
+    if known:
+        metres, radians = plane.T_base_target.distance_to(true)
+        assert (metres < 0.01, radians < 0.003, plane.T_base_target_rig) == (True, True, drawn)
+    assert ("may be the ground" in plane.doubt) == (len(levels) > 1)
 
 
 def test_without_ground_each_axis_may_be_up():
