@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of the planes about the axes of a LiDAR may be the ground."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from multilica.config import CalibrationConfig
+from multilica.geometry import RigidTransform
+from multilica.orchestration import movable
+from multilica.orchestration.rig import ground_under
+from multilica.snapshot import Snapshot
+from multilica.stages import ground
+from multilica.stages.ground import find_levels
+
+_AXES = "z", "-z", "x", "-x", "y", "-y"
+_UP = np.array([0.0, 0.0, 1.0])
+_POINTS_M = np.random.default_rng(0).uniform(-9.0, 9.0, (4_000, 3))
+_CONFIG = CalibrationConfig()
+
+
+def _levels(monkeypatch, scores, normals=None):
+    """Find levels where the planes about some axes have those scores."""
+    asked = iter(_AXES)
+
+    def find(*_):
+        axis = next(asked)
+        normal = (normals or {}).get(axis, _UP)
+        made = SimpleNamespace(normal=normal, offset_m=2.0, score=scores.get(axis), cells=500)
+        return made if axis in scores else None
+
+    monkeypatch.setattr(ground, "_find_surface", find)
+    return find_levels("top", {"top": _POINTS_M}, {}, _CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("scores", "likely"),
+    [
+        ({}, []),
+        ({"z": 10.0, "y": 100.0}, ["z", "y"]),
+        ({"z": 100.0, "y": 51.0, "-x": 49.0}, ["z", "y"]),
+        ({"z": 100.0, "-z": 1.0, "-y": 1.0}, ["z", "-z"]),
+        ({"x": 60.0, "-x": 1.0, "y": 100.0, "-z": 80.0}, ["y", "-z", "x", "-x"]),
+    ],
+)
+def test_the_ground_may_be_about_several_axes(monkeypatch, scores, likely):
+    ups = {tuple(up[2]): axis for up, axis in zip(ground._UPS, _AXES, strict=True)}
+    found = _levels(monkeypatch, scores)
+    assert [ups[tuple(np.round(level.rotation[2], 6) + 0.0)] for level in found] == likely
+    assert all(level.xyz_m == pytest.approx([0.0, 0.0, 2.0]) for level in found)
+
+
+def test_a_slope_between_two_axes_is_one_ground(monkeypatch):
+    slope = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+    about_x = ground._UPS[_AXES.index("x")] @ slope
+    (level,) = _levels(monkeypatch, {"z": 50.0, "x": 60.0}, {"z": slope, "x": about_x})
+    assert level.rotation[2] == pytest.approx(slope)
+
+
+def test_objects_are_movable_about_each_level(monkeypatch):
+    levels = [RigidTransform("level", "t", np.diag([1.0, sign, sign, 1.0])) for sign in (1.0, -1.0)]
+    side = SimpleNamespace(side=SimpleNamespace(cloud=SimpleNamespace(points_m=_POINTS_M)))
+    cloud = SimpleNamespace(points_m=_POINTS_M)
+    state = SimpleNamespace(target="t", clouds={"t": cloud}, lidars={"t": side}, config=_CONFIG, level=None)
+    monkeypatch.setattr(movable, "find_levels", lambda *_: levels)
+    cells = movable._movable_cells(state, {"t": RigidTransform.identity("t", "t")}, np.empty((0, 3)))
+    assert [part.rotation[2, 2] for part in cells.parts] == [1.0, -1.0]
+    assert state.level is levels[0]
+
+
+def test_a_target_upside_down_has_its_pose_over_the_ground():
+    rng = np.random.default_rng(1)
+    flat_m = np.column_stack([rng.uniform(-12.0, 12.0, (6_000, 2)), rng.normal(1.9, 0.005, 6_000)])
+    poses = {"t": RigidTransform.identity("t", "t")}
+    found, reason = ground_under(Snapshot(()), "t", {"t": flat_m}, poses, _CONFIG, None)
+    assert found is not None, reason
+    assert found.offset_m == pytest.approx(1.9, abs=0.01)
+    assert found.normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
+    assert found.T_base_target.rotation[2] == pytest.approx(found.normal)
