@@ -62,12 +62,13 @@ def test_an_interrupted_run_goes_on_and_ends_alike(tmp_path, manifest, after):
     assert (outcome.skipped, tasks.done) == (12, [])
 
 
-def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
+@pytest.mark.parametrize("reason", ["network", "not_found"])
+def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest, reason):
     store, offline = open_store(tmp_path / "store", create=True), "s3://logs/v2/1.mcap"
-    outcome, _ = run(manifest, store, Tasks(failing=[offline]))
+    outcome, _ = run(manifest, store, Tasks(failing=[offline], reason=reason))
     assert outcome.without_result == 1
     with ask(store, FAILURES) as answer:
-        assert [row[2:7] for row in answer.rows()] == [(offline, "", "failed", "network", "lost")]
+        assert [row[2:7] for row in answer.rows()] == [(offline, "", "failed", reason, "lost")]
     outcome, _ = run(manifest, store, tasks := Tasks())
     assert tasks.done == [offline]
     assert outcome.without_result == 0

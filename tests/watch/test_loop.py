@@ -14,13 +14,14 @@ import psutil
 import pytest
 
 from multilica import read_snapshot
-from multilica.checks import RigTolerances, read_reference, verify_snapshot
+from multilica.checks import RigTolerances, Tolerance, read_reference, verify_snapshot
 from multilica.config import CalibrationConfig
 from multilica.errors import MissingDependencyError, UnfitSnapshotError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.ingest import TakenSnapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.watch import Observation, WatchRequest, watch_vehicle
+from multilica.watch.loop import observe_vehicle
 from multilica_cli.commands.calibrate import find_sample
 from tests.cli.support import write_thinned_sample
 from tests.selection import NIGHTLY
@@ -106,11 +107,13 @@ def test_a_verdict_is_that_of_verify(standing: Snapshot) -> None:
 
 @pytest.mark.slow
 def test_a_lidar_that_sends_nothing_is_undecided(standing: Snapshot) -> None:
-    left = Snapshot(standing.lidars[:-1], source="ros2://")
-    (told,), _ = watched([left])
+    """A tolerance of its own is no mistake."""
+    left, lost = Snapshot(standing.lidars[:-1], source="ros2://"), standing.names[-1]
+    asked = replace(request(lambda: TakenSnapshot(left)), tolerances=RigTolerances(lidars={lost: Tolerance()}))
+    told = observe_vehicle(asked)
     assert told.outcome == "undecided"
-    assert f"{standing.names[-1]}: nothing to compare: no scan of that LiDAR was read." in told.text
-    assert [each.lidar for each in told.check.lidars if each.verdict == "undecided"] == [standing.names[-1]]
+    assert f"{lost}: nothing to compare: no scan of that LiDAR was read." in told.text
+    assert [each.lidar for each in told.check.lidars if each.verdict == "undecided"] == [lost]
 
 
 def test_a_look_longer_than_the_interval_is_followed_by_a_pause(standing: Snapshot) -> None:

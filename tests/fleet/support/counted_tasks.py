@@ -21,8 +21,9 @@ class Tasks:
     Those with `copy` have the same bytes.
     """
 
-    def __init__(self, *, failing=(), stop_after=None, pause_s=0.0):
+    def __init__(self, *, failing=(), reason="network", stop_after=None, pause_s=0.0):
         self.done, self.running, self.most, self.failing, self.stop_after = [], Counter(), 0, failing, stop_after
+        self.reason = reason
         self._lock, self._pause_s = threading.Lock(), pause_s
 
     def __call__(self, request, _):
@@ -34,7 +35,7 @@ class Tasks:
             self.most = max(self.most, self.running[request.vehicle])
         time.sleep(self._pause_s * (1 + int(request.key, 16) % 5))
         store = open_store(request.store, create=False)
-        row, lidars = failed_row(request, "network", "lost"), []
+        row, lidars = failed_row(request, self.reason, "lost"), []
         if request.source not in self.failing:
             calibrated = not request.reference or "moved" in request.source
             own = f"{store.run_folder(request.vehicle, request.time_ns, request.key)}/reference.toml"

@@ -209,8 +209,9 @@ def test_from_some_time_on(tmp_path: Path) -> None:
     messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
     write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(messages, key=lambda message: message[2]))
     config = IngestConfig(window="auto", start_s=15.0, frames=1)
-    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still") as refusal:
         read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 16.5}))
+    assert refusal.value.code == "moving_vehicle"
     with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
         read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 15.6}))
     snapshot = read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 13.0}))

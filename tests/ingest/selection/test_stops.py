@@ -298,8 +298,9 @@ def test_a_log_that_stands_once_has_a_stop(drive: SimulatedDrive, tmp_path: Path
 
 def test_a_log_that_never_stands_has_none(drive: SimulatedDrive, tmp_path: Path) -> None:
     write_ros2_mcap(part(drive, slice(STAND_FRAMES + 6, STAND_FRAMES + 26)), tmp_path / "a.mcap")
-    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still") as refusal:
         find_stops(tmp_path / "a.mcap")
+    assert refusal.value.code == "moving_vehicle"
     assert inspect_source(tmp_path / "a.mcap").standstills == ()
 
 

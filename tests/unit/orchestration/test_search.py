@@ -4,6 +4,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
@@ -60,6 +61,31 @@ def test_the_chain_that_implied_a_pair_is_remembered(monkeypatch):
     search._close_loops(state, set())
     assert state.registrations["a", "c"].hypothesis == -1
     assert state.implied_by == {("a", "c"): [frozenset("ab"), frozenset("bc")]}
+
+
+def test_contradicted_pairs_are_searched_whatever_the_time(monkeypatch):
+    asked = []
+    state = CalibrationState(
+        snapshot=None,
+        config=CalibrationConfig(),
+        observe=lambda _: None,
+        workers=SimpleNamespace(map=lambda _, requests: asked.extend(requests) or [None] * len(requests)),
+        deadline_s=3.0,
+    )
+    monkeypatch.setattr(search, "_register_implied", lambda *_: {("a", "c")})
+    monkeypatch.setattr(search, "_check_pairs", lambda _: False)
+    search._close_loops(state, set())
+    search._search(state, [("a", "b")], 0.3)
+    assert [(each.pair, each.deadline_s) for each in asked] == [(("a", "c"), np.inf), (("a", "b"), 3.0)]
+
+
+def test_a_merged_cloud_without_time_is_told(monkeypatch):
+    state = CalibrationState(snapshot=None, config=CalibrationConfig(), observe=pytest.fail, deadline_s=3.0)
+    state.merged_lidars[("a", "b")], state.lidars["c"] = "both", "alone"
+    monkeypatch.setattr(rig, "search_pair", lambda _, request: None if request.deadline_s == 3.0 else "late")
+    group = SimpleNamespace(members=("a", "b"), root="a")
+    assert rig._search_merged(state, group, SimpleNamespace(root="c")) is None
+    assert state.cut_short
 
 
 def test_groups_without_a_pair_are_doubted_in_repeating_scenes(monkeypatch):

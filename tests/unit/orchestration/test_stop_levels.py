@@ -9,7 +9,9 @@ import pytest
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration import stop_views
-from multilica.orchestration.stop_views import DriveStop, levels_of
+from multilica.orchestration.pairs import PreparedLidar
+from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views
+from multilica.results import FeatureCloud, PreprocessedCloud
 from multilica.stages.ground import estimate_level
 
 
@@ -50,6 +52,28 @@ def test_little_ground_is_none():
         level = estimate_level("front", cloud, {}, CalibrationConfig(), 10.0)
         assert (level is not None) == is_ground
         assert estimate_level("front", cloud, {}, CalibrationConfig()) is not None
+
+
+@pytest.mark.parametrize("rpy_rad", [(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), (0.0, -0.5 * np.pi, 0.0)])
+@pytest.mark.parametrize("has_ground", [True, False])
+def test_the_ground_is_no_part_of_the_vehicle(rpy_rad, has_ground):
+    """It is in the same place at every stop as well, whichever axis is up."""
+    rng = np.random.default_rng(2)
+    ground_m = np.column_stack([rng.uniform(-12.0, 12.0, (40_000, 2)), np.full(40_000, -1.5)])
+    bonnet_m = rng.uniform([1.0, -0.5, -0.7], [2.0, 0.5, -0.65], (400, 3))
+    T_lidar_level = RigidTransform.from_xyz_rpy("front", "level", (0.0, 0.0, 0.0), rpy_rad)
+    empty = FeatureCloud("front", np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 33)))
+    stops = []
+    for name in ("stop 1", "stop 2"):
+        around_m = rng.uniform([-9.0, -9.0, -1.0], [9.0, 9.0, 3.0], (2_000, 3))
+        seen_m = np.concatenate([ground_m, bonnet_m, around_m] if has_ground else [bonnet_m, around_m])
+        cloud = PreprocessedCloud("front", np.empty((0, 3), np.float32), T_lidar_level.apply(seen_m))
+        stops.append(DriveStop(name, {"front": PreparedLidar(cloud, empty, None, CalibrationConfig())}, ()))
+    for view in prepare_views(stops, {}, CalibrationConfig()).values():
+        left_m = T_lidar_level.inverse().apply(view.cloud.points_m)
+        on_bonnet = np.all((left_m > [1.0, -0.5, -0.7]) & (left_m < [2.0, 0.5, -0.65]), axis=1)
+        assert on_bonnet.sum() == (0 if has_ground else 400)
+        assert np.sum(left_m[:, 2] < -1.4) == (len(ground_m) if has_ground else 0)
 
 
 def test_each_view_has_the_sigmas_of_all_lidars():
