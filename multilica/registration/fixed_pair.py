@@ -38,6 +38,8 @@ _FREE_M = 0.05
 # LiDARs that are not synchronised scan up to 0.1 s apart: a car at 110 km/h goes 3 m, any part of it alike.
 _FARTHEST_M = 3.0
 _MOTION_M = _FARTHEST_M / np.sqrt(3.0)
+# A direction is free with half of that, if it turns a little against a free one.
+_FREED_M = 0.5 * _MOTION_M
 # By so much the direction in which it went is not known: the slope of a road, a curve.
 _TURN = 0.01
 _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
@@ -83,25 +85,27 @@ def without_movable(
         clouds: of target and source.
         bias_sigmas: as for `fit_planes`.
     """
-    share, direction = _movable_share(pair, clouds)
-    if pair.information is None or share < _LEAST_SHARE:
+    shares, directions = _movable_shares(pair, clouds)
+    if pair.information is None or shares[0] < _LEAST_SHARE:
         return None
     nothing = replace(pair, information=_NOTHING_LEFT * pair.information, bias_information=None)
     if min(np.count_nonzero(each.is_fixed) for each in clouds) < _MIN_MATCHES:
         return _free(nothing)
     (target, source), config = (each.fixed for each in clouds), clouds[0].config
-    first = register(target, source, pair.T_target_source, config) if share >= _HELD_SHARE else pair
+    first = register(target, source, pair.T_target_source, config) if shares[0] >= _HELD_SHARE else pair
     fit = fit_planes(target, source, first.T_target_source, bias_sigmas)
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
         return _free(nothing)
     of_biases = None if pair.bias_information is None else fit.biases
-    found = replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases)
-    if share >= _HELD_SHARE and _sigma_along(fit.information, direction) < _FREE_M:
+    found = _free(replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases))
+    for direction in directions[shares >= _HELD_SHARE]:
+        if _sigma_along(np.asarray(found.information), direction) > _FREED_M:
+            continue
         other = _other_end(target, clouds[1], pair.T_target_source, first, direction, config)
         if other is not None:
             off = other.offset_from(fit.pose) / _SCALE
             found = widened_along(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
-    return _free(found)
+    return found
 
 
 def _other_end(
@@ -139,10 +143,12 @@ def _sigma_along(information: FloatArray, direction: FloatArray) -> float:
     return float(np.sqrt(direction @ covariance @ direction))
 
 
-def _movable_share(
+def _movable_shares(
     pair: PairRegistration, clouds: tuple[PartlyFixedCloud, PartlyFixedCloud]
-) -> tuple[float, FloatArray]:
-    """Return the largest share of the information that movable objects give, and its direction (6,) as arcs at 10 m.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shares (6,) of the information that movable objects give, the largest first, and where.
+
+    The directions (6, 6) are rows, as arcs at 10 m.
 
     The information is measured with the normals of both clouds, once each: their noise, which alone would hold a pose
     along a plane, then averages out.
@@ -154,7 +160,7 @@ def _movable_share(
     rows, index = rows[near[within]], index[within]
     is_fixed = clouds[0].is_fixed[index] & clouds[1].is_fixed[rows]
     if len(rows) < _MIN_MATCHES or np.all(is_fixed):
-        return 0.0, np.zeros(6)
+        return np.zeros(6), np.eye(6)
     of_target, of_source = target.points_m[index], source.points_m[rows]
     normals, flatness = target.surface.at(index)
     others = pose.rotate(source.surface.at(rows)[0])
@@ -170,8 +176,8 @@ def _movable_share(
     values, directions = np.linalg.eigh(whole)
     axes = directions / np.sqrt(np.maximum(values, 1e-3))
     shares, mixed = np.linalg.eigh(axes.T @ left @ axes)
-    direction = axes @ mixed[:, 0]
-    return 1.0 - float(shares[0]), direction / np.linalg.norm(direction)
+    found = (axes @ mixed).T
+    return 1.0 - shares, found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ import pytest
 from multilica.acceptance.placement import are_contradicted, held_by_movable, place
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.registration import fixed_pair
 from multilica.registration.fixed_pair import PartlyFixedCloud, without_movable
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import fit_planes
@@ -186,3 +187,16 @@ def test_without_movable_objects_nothing_changes():
 def test_a_pose_that_hardly_needs_the_car_is_not_held_by_it(by_all_m, fixed_m):
     by_all, fixed = (np.diag(np.repeat([1e-4, sigma_m], 3) ** 2) for sigma_m in (by_all_m, fixed_m))
     assert held_by_movable(by_all, fixed, _CONFIG) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("shares", "tried"), [((0.9, 0.6, 0.4), 2), ((0.6, 0.1, 0.0), 1), ((0.4, 0.3, 0.2), 0)])
+def test_each_direction_that_movable_objects_hold_is_tested(monkeypatch, shares, tried):
+    """Beside a car that is all that holds a pose along one direction, it may hold most of another."""
+    asked = []
+    directions = np.eye(6)[[3, 4, 0, 1, 2, 5]]
+    monkeypatch.setattr(fixed_pair, "_movable_shares", lambda *_: (np.array([*shares, 0.0, 0.0, 0.0]), directions))
+    monkeypatch.setattr(fixed_pair, "_other_end", lambda *each: asked.append(each[4]))
+    _, fixed = _fixed_pair(crossed=True)
+    assert [each.tolist() for each in asked] == directions[:tried].tolist()
+    assert weakest_deviations(_covariance(fixed))[0] < _CONFIG.max_sigma_m
