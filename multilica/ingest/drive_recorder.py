@@ -220,5 +220,7 @@ def _number_of_place(stops: Sequence[Snapshot], now: Snapshot) -> int:
 
 
 def _first_scans(snapshot: Snapshot) -> Mapping[str, Scan]:
+    from multilica.stages.stillness import whole_frames
+
     richest: Sequence[LidarScans] = sorted(snapshot.lidars, key=lambda lidar: (-lidar.points_count, lidar.name))[:2]
-    return {lidar.name: lidar.scans[0] for lidar in richest}
+    return {lidar.name: lidar.scans[next(iter(whole_frames(lidar.scans)), 0)] for lidar in richest}

@@ -37,6 +37,7 @@ from multilica.stages.ground import (
     estimate_ground_over,
     estimate_level,
     find_levels,
+    level_near,
     middle_of,
 )
 from multilica.stages.known_poses import known_between, known_in_base
@@ -232,6 +233,8 @@ def ground_under(
             return None, f"the rig file has no pose of the target {target}"
     points_m = np.concatenate([pose.apply(clouds[name]) for name, pose in sorted(poses.items()) if name in clouds])
     middle_m = middle_of(poses)
+    if known is not None:
+        return estimate_ground_over([level_near(known)], points_m, config, middle_m, known, biases)
     found = estimate_ground(target, points_m, config, middle_m, known, biases)
     if found[0] is None and (levels := find_levels(target, clouds, poses, config)):
         return estimate_ground_over(levels, points_m, config, middle_m, known, biases)

@@ -97,15 +97,16 @@ def without_movable(
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
         return _free(nothing)
     of_biases = None if pair.bias_information is None else fit.biases
-    found = _free(replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases))
+    found = replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases)
+    freed = np.asarray(_free(found).information)
     for direction in directions[shares >= _HELD_SHARE]:
-        if _sigma_along(np.asarray(found.information), direction) > _FREED_M:
+        if _sigma_along(fit.information, direction) >= _FREE_M and _sigma_along(freed, direction) > _FREED_M:
             continue
         other = _other_end(target, clouds[1], pair.T_target_source, first, direction, config)
         if other is not None:
             off = other.offset_from(fit.pose) / _SCALE
             found = widened_along(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
-    return found
+    return _free(found)
 
 
 def _other_end(

@@ -59,9 +59,11 @@ class Odometer:
         elapsed_s = (scan.stamp_ns - self._stamp_ns) / _NS_PER_S
         if self._is_lost or (self._frames and elapsed_s <= 0.0):
             return
-        cloud = self._prepared(scan)
-        if len(cloud.points()) < _MIN_POINTS or (self._frames and elapsed_s > _LOST_S):
+        if self._frames and elapsed_s > _LOST_S:
             self._is_lost = True
+            return
+        cloud = self._prepared(scan)
+        if len(cloud.points()) < _MIN_POINTS:  # as frames that a driver lost
             return
         if self._frames:
             self._follow(cloud, elapsed_s)

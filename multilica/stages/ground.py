@@ -285,6 +285,12 @@ def find_levels(
     return [found[axis][1] for axis in ranked if axis in likely or axis ^ 1 in likely]
 
 
+def level_near(T_base_target: RigidTransform) -> RigidTransform:
+    """Return the level with that axis of the target up which a rig file has nearest to the vertical."""
+    up = max(_UPS, key=lambda each: float(each[2] @ T_base_target.rotation[2]))
+    return RigidTransform.from_rotation_translation(LEVEL_FRAME, T_base_target.source, up, np.zeros(3))
+
+
 def rotations_of(levels: Sequence[RigidTransform]) -> list[FloatArray]:
     """Return the rotations (3, 3) of levels; without any, each axis may be up."""
     return [level.rotation for level in levels] or [*_UPS]

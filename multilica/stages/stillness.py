@@ -76,9 +76,10 @@ class Motion:
 
 
 def detect_motion(scans: Sequence[Scan], config: StillnessConfig, *, track: bool = True) -> Motion:
-    """Detect motion by registering the last frame of a LiDAR to its first, through the middle one.
+    """Detect motion by registering the last whole frame of a LiDAR to its first, through the middle one.
 
-    If too few surfaces in common are left, the LiDAR is tracked from frame to frame.
+    A driver that starts may send frames without points, or parts of one. If too few surfaces in common are left, the
+    LiDAR is tracked from frame to frame.
 
     Args:
         scans: frames of one LiDAR, oldest first.
@@ -87,7 +88,8 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig, *, track: bool
     Returns:
         The motion in the directions that surfaces constrain; along a tunnel or over a plane it is not observable.
     """
-    chosen = sorted({0, (len(scans) - 1) // 2, len(scans) - 1}) if scans else []
+    whole = whole_frames(scans)
+    chosen = sorted({whole[0], whole[(len(whole) - 1) // 2], whole[-1]}) if whole else []
     clouds_m = [_surroundings(scans[index]) for index in chosen]
     if len(clouds_m) < 2 or min(len(cloud_m) for cloud_m in clouds_m) < _MIN_POINTS:
         return Motion()
@@ -109,6 +111,14 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig, *, track: bool
         return replace(found, observable=True, moving=True, at_least=True)
     between = {index: Structure(cloud_m) for index, cloud_m in zip(chosen, clouds_m, strict=True)}
     return _tracked(scans, between, config) or found
+
+
+def whole_frames(scans: Sequence[Scan]) -> list[int]:
+    """Return the indices of the frames with half as many points as usual or more."""
+    counts = np.array([np.count_nonzero(np.isfinite(scan.points_m[:, 0])) for scan in scans])
+    if not np.any(counts):
+        return []
+    return np.flatnonzero(2 * counts >= np.median(counts[counts > 0])).tolist()
 
 
 def leaves_its_place(scans: Iterable[Scan]) -> bool:

@@ -81,6 +81,18 @@ def test_frames_at_rest_are_mostly_left_out():
     assert [odometer.needs(_FRAME_NS + ms * 1_000_000) for ms in (50, 100, 200)] == [False, False, True]
 
 
+@pytest.mark.parametrize("index", [0, 5])
+def test_a_frame_without_points_is_left_out(index):
+    scans = [*_scans(timed=False)]
+    empty = Scan(np.empty((0, 3), np.float32), scans[index].stamp_ns)
+    others = [*scans[:index], *scans[index + 1 :]]
+    with_gap, without = (
+        _followed(each).motion("front") for each in ([*scans[:index], empty, *scans[index + 1 :]], others)
+    )
+    assert with_gap.frames == without.frames
+    np.testing.assert_array_equal(with_gap.T_before_now.matrix, without.T_before_now.matrix)
+
+
 def test_a_lost_track_gives_no_motion():
     scans = [*_scans(timed=False)]
     assert _followed([*scans[:3], *scans[18:]]).motion("front") is None

@@ -6,11 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.orchestration import movable
 from multilica.orchestration.rig import ground_under
-from multilica.snapshot import Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 from multilica.stages import ground
 from multilica.stages.ground import find_levels
 
@@ -67,6 +68,26 @@ def test_objects_are_movable_about_each_level(monkeypatch):
     cells = movable._movable_cells(state, {"t": RigidTransform.identity("t", "t")}, np.empty((0, 3)))
     assert [part.rotation[2, 2] for part in cells.parts] == [1.0, -1.0]
     assert state.level is levels[0]
+
+
+def test_the_rig_file_tells_the_ground_from_the_ceiling():
+    """Seen upside down, the ceiling is the ground about z, and there is more of it."""
+    rng = np.random.default_rng(1)
+    planes = ((1.3, 9_000, 12.0), (-1.9, 6_000, 10.0))
+    points_m = np.concatenate(
+        [np.column_stack([rng.uniform(-r, r, (n, 2)), rng.normal(z, 0.005, n)]) for z, n, r in planes]
+    )
+    drawn = RigidTransform.from_xyz_rpy("base", "t", [0.4, 0.1, 1.8], [np.pi + 0.02, 0.0, 0.3])
+    seen_m = RigidTransform.from_xyz_rpy("base", "t", [0.0, 0.0, 0.0], [np.pi, 0.0, 0.3]).inverse().apply(points_m)
+    poses, rig = {"t": RigidTransform.identity("t", "t")}, Extrinsics("base", {"t": drawn})
+    snapshot, config = Snapshot((LidarScans("t", ()),)), with_overrides(_CONFIG, ["ground.frame=base"])
+    assert ground_under(snapshot, "t", {"t": seen_m}, poses, config, None)[0].offset_m == pytest.approx(1.3, abs=0.01)
+    found, reason = ground_under(snapshot, "t", {"t": seen_m}, poses, config, rig)
+    assert found is not None, reason
+    assert found.offset_m == pytest.approx(1.9, abs=0.01)
+    assert found.T_base_target.rotation[2] @ drawn.rotation[2] > 0.999
+    assert found.T_base_target.xyz_m[:2] == pytest.approx([0.4, 0.1])
+    assert found.T_base_target_rig.matrix == pytest.approx(drawn.matrix)
 
 
 def test_a_target_upside_down_has_its_pose_over_the_ground():

@@ -108,6 +108,22 @@ def test_the_limit_of_the_shift_is_configured() -> None:
     assert not detect_motion(scans, StillnessConfig(max_shift_m=0.2)).moving
 
 
+@pytest.mark.parametrize("index", [0, 2, 4])
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_frames_that_are_not_whole_hide_no_motion(index: int, share: float) -> None:
+    """A driver that starts sends frames without points, or parts of one; NaN counts as no point."""
+    for step_m in (0.0, 0.3):
+        scans = _drive(_ROOM_M, step_m)
+        points_m = scans[index].points_m.copy()
+        azimuth = np.arctan2(points_m[:, 1], points_m[:, 0])
+        points_m[np.abs(azimuth) > share * np.pi] = np.nan
+        scans[index] = Scan(points_m)
+        found = detect_motion(scans, _CONFIG)
+        assert found.observable
+        assert found.moving == (step_m > 0.0)
+        assert not found.at_least
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_single_frame_shows_no_motion(count: int) -> None:
     scans = _drive(_ROOM_M, 0.3)[:count]
