@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from multilica.errors import UsageError
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks import guard
 from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
@@ -104,3 +105,9 @@ def test_a_log_that_is_nothing_has_no_identity(tmp_path, monkeypatch):
     monkeypatch.undo()
     guard._STOPPED.clear()
     assert identify_guarded(str(tmp_path / "none.mcap"), LIMITS) == guard.LogIdentity("", None)
+
+
+@pytest.mark.parametrize("limits", [{"time_s": float("inf")}, {"memory_mb": 1e14}, {"memory_mb": float("nan")}])
+def test_limits_without_a_bound_are_refused(limits):
+    with pytest.raises(UsageError, match="expected at most 1e"):
+        LogTaskLimits(**limits)

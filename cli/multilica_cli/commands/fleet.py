@@ -77,12 +77,8 @@ def run(
             default=False,
         ),
     ] = "",
-    max_log_time_s: Annotated[
-        float, option("--max-log-time S", "Time limit of a log, in seconds.", min=1.0, max=1e7)
-    ] = 600.0,
-    max_log_memory_mb: Annotated[
-        float, option("--max-log-memory MB", "Memory limit of a log.", min=100.0, max=1e7)
-    ] = 4000.0,
+    max_log_time_s: Annotated[float, option("--max-log-time S", "Time limit of a log, in seconds.", min=1.0)] = 600.0,
+    max_log_memory_mb: Annotated[float, option("--max-log-memory MB", "Memory limit of a log.", min=100.0)] = 4000.0,
     retries: Annotated[int, option("--retries N", "Tries after a lost connection or a kill.", min=0)] = 5,
     newest_first: Annotated[bool, option("--newest-first", "Begin with the newest logs.")] = False,
     topics: options.Topics = None,

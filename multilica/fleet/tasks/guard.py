@@ -88,13 +88,26 @@ def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refu
     return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))
 
 
+LARGEST_LIMIT = 1e6
+"""Of seconds and of megabytes: eleven days, a terabyte."""
+
+
 @dataclass(frozen=True, slots=True)
 class LogTaskLimits:
-    """Limits of a task: until it is killed, on top of what the libraries take, and tries after what may pass."""
+    """Limits of a task: until it is killed, on top of what the libraries take, and tries after what may pass.
+
+    Raises:
+        UsageError: a limit is above `LARGEST_LIMIT`, or no number.
+    """
 
     time_s: float = 600.0
     memory_mb: float = 4000.0
     retries: int = 5
+
+    def __post_init__(self) -> None:
+        for name, value in (("time limit", self.time_s), ("memory limit", self.memory_mb)):
+            if not value <= LARGEST_LIMIT:
+                raise UsageError(f"The {name} of a log is {value:g}; expected at most {LARGEST_LIMIT:g}.")
 
 
 @contextmanager

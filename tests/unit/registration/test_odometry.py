@@ -81,9 +81,9 @@ def test_frames_at_rest_are_mostly_left_out():
     assert [odometer.needs(_FRAME_NS + ms * 1_000_000) for ms in (50, 100, 200)] == [False, False, True]
 
 
-@pytest.mark.parametrize("index", [0, 5])
+@pytest.mark.parametrize("index", [0, 3])
 def test_a_frame_without_points_is_left_out(index):
-    scans = [*_scans(timed=False)]
+    scans = [*_scans(timed=False)][:8]
     empty = Scan(np.empty((0, 3), np.float32), scans[index].stamp_ns)
     others = [*scans[:index], *scans[index + 1 :]]
     with_gap, without = (
