@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from multilica_cli import options
+from multilica_cli.commands.check import tolerances_of
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import argument, option, output
 from multilica_cli.terminal import print_json, stderr_console, stdout_console
@@ -61,10 +62,10 @@ def run(
     ] = "when-needed",
     target: Annotated[str | None, option("--target NAME", "LiDAR that all poses are relative to.", "chosen")] = None,
     max_translation_m: Annotated[
-        float, option("--max-translation M", "Largest distance that does not count as motion.", min=1e-6, max=100.0)
+        float, option("--max-translation M", "Largest distance that does not count as motion.", min=1e-6)
     ] = 0.03,
     max_rotation_deg: Annotated[
-        float, option("--max-rotation DEG", "Largest rotation that does not count as motion.", min=1e-6, max=180.0)
+        float, option("--max-rotation DEG", "Largest rotation that does not count as motion.", min=1e-6)
     ] = 0.3,
     workers: Annotated[
         int | None, option("--workers N", "Logs at once, each with one thread of a process.", "one per core", min=1)
@@ -108,7 +109,6 @@ def run(
 
     Exits with 0 if every log has a result, 4 if a log of this run was refused or failed.
     """
-    from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
     from multilica.fleet.patterns import LogPattern
     from multilica.fleet.store.store import open_store
@@ -123,7 +123,7 @@ def run(
     config = options.Parameters(None, config_file, settings).resolve({**given, "runtime.workers": 1})
     chosen = FleetOptions(
         config,
-        RigTolerances(default=Tolerance(translation_m=max_translation_m, rotation_deg=max_rotation_deg)),
+        tolerances_of(max_translation_m, max_rotation_deg),
         calibrate,
         LogPattern(pattern) if pattern else None,
         newest_first,

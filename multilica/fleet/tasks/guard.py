@@ -89,7 +89,7 @@ def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refu
 
 
 LARGEST_LIMIT = 1e6
-"""Of seconds and of megabytes: eleven days, a terabyte."""
+"""The largest limit in seconds or megabytes: eleven days, a terabyte."""
 
 
 @dataclass(frozen=True, slots=True)
