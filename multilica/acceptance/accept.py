@@ -218,7 +218,7 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
     lead = best.lead_over(other)
     if lead >= config.min_log_odds_margin and other.evidence > best.evidence:
         odds = f"evidence {other.evidence:z.1f} against {best.evidence:z.1f}"
-        text = f"a pose {metres:.2f} m away agrees with more surfaces ({odds}); few face the way between the two"
+        text = f"a pose {metres:.2f} m away has more evidence ({odds}); only points that face that way prefer this one"
         return Reason("ambiguous", best.evidence - other.evidence, 0.0, text, other)
     if lead >= config.min_log_odds_margin:
         odds = f"evidence {other.evidence:z.1f}, limit {config.min_evidence:.2g}"

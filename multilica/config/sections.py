@@ -66,6 +66,11 @@ class IngestConfig(Section):
     )
     timeout_s: Positive = Field(30.0, description="seconds after which reading from a live source stops")
 
+    @property
+    def chooses_topics(self) -> bool:
+        """True if topics are left out on purpose."""
+        return bool(self.topics or self.only)
+
 
 class StillnessConfig(Section):
     """Detection of moving objects and of a moving vehicle."""

@@ -235,9 +235,10 @@ def ground_under(
     middle_m = middle_of(poses)
     if known is not None:
         return estimate_ground_over([level_near(known)], points_m, config, middle_m, known, biases)
-    found = estimate_ground(target, points_m, config, middle_m, known, biases)
+    found = estimate_ground(target, points_m, config, middle_m, biases=biases)
     if found[0] is None and (levels := find_levels(target, clouds, poses, config)):
-        return estimate_ground_over(levels, points_m, config, middle_m, known, biases)
+        over = estimate_ground_over(levels, points_m, config, middle_m, biases=biases)
+        return found if over[0] is None else over
     return found
 
 

@@ -12,7 +12,7 @@ from multilica.orchestration.pairs import PreparedLidar
 from multilica.registration.movable import find_movable
 from multilica.registration.own_body import BodyCells, find_own_body
 from multilica.results import DriveView, PairRegistration
-from multilica.stages.ground import estimate_level, find_levels, rotations_of
+from multilica.stages.ground import estimate_level_about_z, find_levels, rotations_of
 
 # Such a share of the margin of log-odds is less than what links that confirm each other add to their evidence.
 _WEAKER = 0.5
@@ -46,7 +46,7 @@ def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str
     found: dict[str, RigidTransform] = {}
     for lidar in sorted({name for stop in stops for name in stop.lidars}):
         clouds = [stop.lidars[lidar].cloud.points_m for stop in stops if lidar in stop.lidars]
-        estimates = [estimate_level(lidar, {lidar: points_m}, {}, config, _LEAST_GROUND) for points_m in clouds]
+        estimates = [estimate_level_about_z(lidar, {lidar: points_m}, {}, config, _LEAST_GROUND) for points_m in clouds]
         levels = [level for level in estimates if level is not None]
         agreeing = [sum(_is_same_ground(one, other) for other in levels) for one in levels]
         if max(agreeing, default=0) > 1:

@@ -85,9 +85,10 @@ def estimate_ground(
         return None, f"{len(points_m)} points are too few for a plane, which needs {_MIN_CELLS}"
     found = _find_surface(points_m, middle_m, config, known, _bias_sigmas(biases, config.refine))
     if found is None or found.score < least_score:
+        up = f"the z axis of {target}" if known is None else f"the axis of {target} that the rig file has up"
         return None, (
-            f"no plane lies under the rig: tilted by at most {config.ground.max_tilt_deg:g} deg against the z axis of "
-            f"{target}, with nothing below it"
+            f"no plane lies under the rig: tilted by at most {config.ground.max_tilt_deg:g} deg against {up}, with "
+            "nothing below it"
         )
     if found.cells < _MIN_CELLS:
         return None, f"too little ground is seen: {found.cells} cells of {_CELL_M} m, of which {_MIN_CELLS} are needed"
@@ -105,7 +106,7 @@ def estimate_ground(
         doubt=_doubt(found, config.acceptance),
         T_base_target_rig=known,
     )
-    return plane, f"{plane.area_m2:.0f} m2 of ground are seen" + (f"; {plane.doubt}" if plane.doubt else "")
+    return plane, _described(plane)
 
 
 def estimate_ground_over(
@@ -130,9 +131,13 @@ def estimate_ground_over(
     doubt = plane.doubt
     if len(levels) > 1 and not doubt:
         doubt = f"the z axis of {target} is not up, so a wall or a ceiling may be the ground"
-    normal = turn.rotation.T @ plane.normal
-    T_base_target = plane.T_base_target @ turn
-    return replace(plane, normal=normal, T_base_target=T_base_target, T_base_target_rig=known, doubt=doubt), text
+    normal, T_base_target = turn.rotation.T @ plane.normal, plane.T_base_target @ turn
+    plane = replace(plane, normal=normal, T_base_target=T_base_target, T_base_target_rig=known, doubt=doubt)
+    return plane, _described(plane)
+
+
+def _described(plane: GroundPlane) -> str:
+    return f"{plane.area_m2:.0f} m2 of ground are seen" + (f"; {plane.doubt}" if plane.doubt else "")
 
 
 def _find_surface(
@@ -233,17 +238,29 @@ def _planes(points_m: FloatArray, config: GroundConfig, seed: int) -> Iterator[t
 
 
 def estimate_level(
+    target: str, clouds: Mapping[str, FloatArray], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> RigidTransform | None:
+    """Estimate the pose of the target LiDAR in a frame with z up; None without a ground plane about any axis.
+
+    Args:
+        clouds: per LiDAR (N, 3) in its own frame.
+        poses: of the placed LiDARs in the target's frame; empty to use the target alone.
+    """
+    about_z = estimate_level_about_z(target, clouds, poses, config)
+    return about_z or next(iter(find_levels(target, clouds, poses, config)), None)
+
+
+def estimate_level_about_z(
     target: str,
     clouds: Mapping[str, FloatArray],
     poses: Mapping[str, RigidTransform],
     config: CalibrationConfig,
     least_score: float = -np.inf,
 ) -> RigidTransform | None:
-    """Estimate the pose of the target LiDAR in a frame with z up; None without a ground plane.
+    """Estimate the same for a target whose z axis is up.
 
     Args:
-        clouds: per LiDAR (N, 3) in its own frame.
-        poses: of the placed LiDARs in the target's frame; empty to use the target alone.
+        clouds, poses: as of `estimate_level`.
         least_score: of the plane; see `GroundSurface.score`.
     """
     points_m, middle_m = _level_points(target, clouds, poses)

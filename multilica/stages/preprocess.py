@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from multilica.config import PreprocessConfig, StillnessConfig
 from multilica.geometry import FloatArray, lengths, read_only
 from multilica.registration.neighbours import thin
+from multilica.registration.sensor_biases import upward_axis
 from multilica.results import BoolArray, IndexArray, PreprocessedCloud
 from multilica.snapshot import LidarScans, Scan
 
@@ -25,7 +26,6 @@ _SPACING_NEIGHBOUR = 4
 _REFERENCE_FRAMES = 10
 # In places where nothing moves, edges are a quarter of a percent of the returns.
 MOVING_SHARE = 0.005
-_MOST_BEAMS = 0.99
 # With fewer returns than in the point's own frame, the beam that would hit it may be lost.
 _MIN_FILLED = 0.85
 # Three of nine cells: at this density, chance leaves all nine without a return in one frame of forty.
@@ -70,7 +70,7 @@ class _Grid:
     """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest.
 
     Args:
-        axis: about which the columns lie. Near it they are narrower than the distance of beams.
+        axis: about which the columns lie, away from the beams. Near it they are narrower than the distance of beams.
     """
 
     axis: int
@@ -188,8 +188,7 @@ def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
     distances, _ = tree.query(sample, k=_SPACING_NEIGHBOUR + 1)
     cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
-    # The axis that most beams keep away from: z, but for drivers that report z forward.
-    axis = min((2, 0, 1), key=lambda axis: float(np.quantile(np.abs(sample[:, axis]), _MOST_BEAMS)))
+    axis = upward_axis(points_m)
     sines = [points_m[:, axis] / range_m for points_m, range_m in frames if len(points_m)]
     lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
     rows = int((highest - lowest) / cell_rad) + 1

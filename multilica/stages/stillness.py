@@ -53,6 +53,8 @@ _STEP_M = 0.4
 _MAX_STARTS = 4
 _GOOD_SHARE = 0.4
 _MIN_FLATNESS = 0.6
+# Nothing tells which of two frames is whole.
+_TO_COMPARE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,11 +116,12 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig, *, track: bool
 
 
 def whole_frames(scans: Sequence[Scan]) -> list[int]:
-    """Return the indices of the frames with half as many points as usual or more."""
-    counts = np.array([np.count_nonzero(np.isfinite(scan.points_m[:, 0])) for scan in scans])
-    if not np.any(counts):
-        return []
-    return np.flatnonzero(2 * counts >= np.median(counts[counts > 0])).tolist()
+    """Return the indices of the frames with half as many points as usual or more; of two with points, both."""
+    counts = np.array([np.count_nonzero(np.isfinite(scan.points_m[:, 0])) for scan in scans], dtype=np.int64)
+    filled = np.flatnonzero(counts)
+    if len(filled) > _TO_COMPARE:
+        filled = filled[2 * counts[filled] >= np.median(counts[filled])]
+    return [int(index) for index in filled]
 
 
 def leaves_its_place(scans: Iterable[Scan]) -> bool:

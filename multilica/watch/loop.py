@@ -114,7 +114,9 @@ def _verified(request: WatchRequest, taken: TakenSnapshot) -> Observation:
     known, absent = read_reference(request.calibration, frame_ids), absent_lidars(request.calibration, frame_ids)
     found = register_from_known(snapshot, known, request.config)
     check = check_found(found, snapshot, known, request.tolerances.without(absent))
-    check = with_absent(check, absent, request.tolerances, chosen=bool(request.config.ingest.topics))
+    # A chosen topic that is silent was not left out on purpose.
+    chosen = request.config.ingest.chooses_topics and not taken.silent
+    check = with_absent(check, absent, request.tolerances, chosen=chosen)
     reasons = [f"{each.lidar}: {each.reason}" for each in check.lidars if each.verdict != "within"]
     silent = [f"{topic} sends no scan" for topic in taken.silent]
     text = " ".join([check.sentence, *(f"{reason}." for reason in (*reasons, *silent))])

@@ -15,7 +15,7 @@ import pytest
 
 from multilica import read_snapshot
 from multilica.checks import RigTolerances, Tolerance, read_reference, verify_snapshot
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, IngestConfig
 from multilica.errors import MissingDependencyError, UnfitSnapshotError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.ingest import TakenSnapshot
@@ -106,12 +106,25 @@ def test_a_verdict_is_that_of_verify(standing: Snapshot) -> None:
 
 
 @pytest.mark.slow
-def test_a_lidar_that_sends_nothing_is_undecided(standing: Snapshot) -> None:
+@pytest.mark.parametrize(
+    ("topics", "silent", "outcome"),
+    [((), (), "undecided"), (("/lidar/*",), ("/lidar/right",), "undecided"), (("/lidar/[fl]*",), (), "within")],
+    ids=["no topic", "silent topic", "left out"],
+)
+def test_a_lidar_that_sends_nothing_is_undecided(
+    standing: Snapshot, topics: tuple[str, ...], silent: tuple[str, ...], outcome: str
+) -> None:
     """A tolerance of its own is no mistake."""
     left, lost = Snapshot(standing.lidars[:-1], source="ros2://"), standing.names[-1]
-    asked = replace(request(lambda: TakenSnapshot(left)), tolerances=RigTolerances(lidars={lost: Tolerance()}))
+    asked = replace(
+        request(lambda: TakenSnapshot(left, silent=silent)),
+        tolerances=RigTolerances(lidars={lost: Tolerance()}),
+        config=CalibrationConfig(ingest=IngestConfig(only=topics)),
+    )
     told = observe_vehicle(asked)
-    assert told.outcome == "undecided"
+    assert told.outcome == outcome
+    if outcome == "within":
+        return
     assert f"{lost}: nothing to compare: no scan of that LiDAR was read." in told.text
     assert [each.lidar for each in told.check.lidars if each.verdict == "undecided"] == [lost]
 

@@ -166,7 +166,7 @@ def _of_recordings(
             checks = [decide_unplaced(checks[0], snapshots[0], known, present, config, deadline_s)]
         else:
             checks = [*settle_stops([*checks, *verify_stops(snapshots, known, present, config, deadline_s)])]
-    return [with_absent(each, absent, limits, chosen=bool(config.ingest.topics)) for each in checks]
+    return [with_absent(each, absent, limits, chosen=config.ingest.chooses_topics) for each in checks]
 
 
 def _of_runs(directories: Sequence[Path], against: Path, limits: RigTolerances, *, alone: bool) -> list[RigCheck]:
@@ -186,7 +186,7 @@ def _of_runs(directories: Sequence[Path], against: Path, limits: RigTolerances, 
         absent = absent_lidars(against, frame_ids)
         found = check_rig(saved_run(read, str(path)), read_reference(against, frame_ids), limits.without(absent))
         found = found.model_copy(update={"notes": (*found.notes, *given.notes)})
-        chosen = bool(read.document.config.ingest.topics)
+        chosen = read.document.config.ingest.chooses_topics
         checks.append(with_absent(found, absent, limits, chosen=chosen) if alone else found)
     return checks
 
@@ -231,7 +231,7 @@ def verify(
     frame_ids = {lidar.name: lidar.frame_id for snapshot in snapshots for lidar in snapshot.lidars}
     known, absent = read_reference(calibration, frame_ids), absent_lidars(calibration, frame_ids)
     checks = verify_stops(snapshots, known, limits.without(absent), config, deadline_s)
-    found = [with_absent(each, absent, limits, chosen=bool(recording.topics)) for each in checks]
+    found = [with_absent(each, absent, limits, chosen=config.ingest.chooses_topics) for each in checks]
     return _finish(found, calibration, gate, quiet=quiet, as_json=as_json)
 
 

@@ -96,8 +96,9 @@ def test_a_lidar_that_the_recording_lacks_is_undecided(invoke: Invoke, result: P
     assert "note: 5 of 10 scans" in invoke("check", run, "--against", result).out
 
 
-def test_lidars_that_chosen_topics_leave_out_are_noted(invoke: Invoke, result: Path) -> None:
-    run = without_rear(result, topics={"top": "/top", "front left/1": "/front"})
+@pytest.mark.parametrize("chosen", [{"topics": {"top": "/top", "front left/1": "/front"}}, {"only": ["/[tf]*"]}])
+def test_lidars_that_chosen_topics_leave_out_are_noted(invoke: Invoke, result: Path, chosen: dict[str, object]) -> None:
+    run = without_rear(result, **chosen)
     outcome = invoke("check", run, "--against", result)
     assert outcome.code == ExitCode.DONE, outcome.err
     assert "note: the reference has rear, which the chosen topics leave out" in outcome.out

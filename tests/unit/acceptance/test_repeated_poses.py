@@ -52,7 +52,7 @@ def test_facing_points_do_not_outweigh_more_evidence():
     (reason,) = _accept(*likeliest_first([slid, true])).reasons
     assert (reason.code, reason.competing) == ("ambiguous", slid)
     assert (reason.value, reason.limit) == (true.evidence - slid.evidence, 0.0)
-    assert "a pose 1.00 m away agrees with more surfaces" in reason.text
+    assert "a pose 1.00 m away has more evidence (" in reason.text
 
 
 _BESIDE = pose("t", "s", (5.0, 0.0, 0.0))

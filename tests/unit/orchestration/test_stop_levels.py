@@ -12,7 +12,7 @@ from multilica.orchestration import stop_views
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views
 from multilica.results import FeatureCloud, PreprocessedCloud
-from multilica.stages.ground import estimate_level
+from multilica.stages.ground import estimate_level_about_z
 
 
 def _level(roll_deg=0.0, height_m=1.5):
@@ -25,7 +25,7 @@ def found(monkeypatch):
 
     def of(*levels):
         left = iter(levels)
-        monkeypatch.setattr(stop_views, "estimate_level", lambda *_: next(left))
+        monkeypatch.setattr(stop_views, "estimate_level_about_z", lambda *_: next(left))
         cloud = SimpleNamespace(cloud=SimpleNamespace(points_m=np.zeros((1, 3))))
         stops = [DriveStop(f"stop {number}", {"front": cloud}, ()) for number, _ in enumerate(levels, 1)]
         return levels_of(stops, CalibrationConfig()).get("front")
@@ -49,9 +49,9 @@ def test_little_ground_is_none():
     near_m, far_m = (np.column_stack([rng.uniform(x, x + 20.0, 4000), rng.uniform(-9.0, 9.0, 4000)]) for x in (3, 12))
     for flat_m, is_ground in ((near_m, True), (far_m, False)):
         cloud = {"front": np.column_stack([flat_m, np.full(4000, -1.5) + rng.normal(0.0, 0.01, 4000)])}
-        level = estimate_level("front", cloud, {}, CalibrationConfig(), 10.0)
+        level = estimate_level_about_z("front", cloud, {}, CalibrationConfig(), 10.0)
         assert (level is not None) == is_ground
-        assert estimate_level("front", cloud, {}, CalibrationConfig()) is not None
+        assert estimate_level_about_z("front", cloud, {}, CalibrationConfig()) is not None
 
 
 @pytest.mark.parametrize("rpy_rad", [(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), (0.0, -0.5 * np.pi, 0.0)])

@@ -59,6 +59,16 @@ def test_a_slope_between_two_axes_is_one_ground(monkeypatch):
     assert level.rotation[2] == pytest.approx(slope)
 
 
+@pytest.mark.parametrize(
+    ("about_z", "others", "taken"),
+    [("about z", ["other"], "about z"), (None, ["likeliest", "other"], "likeliest"), (None, [], None)],
+)
+def test_pictures_are_upright_whichever_axis_is_up(monkeypatch, about_z, others, taken):
+    monkeypatch.setattr(ground, "estimate_level_about_z", lambda *_: about_z)
+    monkeypatch.setattr(ground, "find_levels", lambda *_: others)
+    assert ground.estimate_level("top", {"top": _POINTS_M}, {}, _CONFIG) == taken
+
+
 def test_objects_are_movable_about_each_level(monkeypatch):
     levels = [RigidTransform("level", "t", np.diag([1.0, sign, sign, 1.0])) for sign in (1.0, -1.0)]
     side = SimpleNamespace(side=SimpleNamespace(cloud=SimpleNamespace(points_m=_POINTS_M)))

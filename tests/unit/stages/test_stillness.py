@@ -11,7 +11,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import Scan
 from multilica.stages import stillness
 from multilica.stages.preprocess import _grid, drop_moving
-from multilica.stages.stillness import Motion, Structure, detect_motion, explain_motion
+from multilica.stages.stillness import Motion, Structure, detect_motion, explain_motion, whole_frames
 
 _ROOM_M = (9.0, 6.0, 4.0)
 _CORRIDOR_M = (np.inf, 3.0, 2.5)
@@ -106,6 +106,13 @@ def test_the_limit_of_the_shift_is_configured() -> None:
     scans = _drive(_ROOM_M, 0.03)
     assert detect_motion(scans, _CONFIG).moving
     assert not detect_motion(scans, StillnessConfig(max_shift_m=0.2)).moving
+
+
+def test_two_frames_are_compared_however_many_points_they_have() -> None:
+    """Of two stops of a drive, one may be in a garage."""
+    counts = (900, 200), (900, 0), (0, 0), (900, 200, 800), (0, 900, 100)
+    whole = [whole_frames([Scan(np.ones((count, 3), np.float32)) for count in each]) for each in counts]
+    assert whole == [[0, 1], [0], [], [0, 2], [1, 2]]
 
 
 @pytest.mark.parametrize("index", [0, 2, 4])
@@ -237,10 +244,16 @@ def test_a_standing_person_is_kept() -> None:
     assert len(dropped_m) < 0.05 * sum(int(mask.sum()) for _, mask in visited)
 
 
+def _ahead(scan: Scan) -> Scan:
+    """Return what a LiDAR with a wide and low field of view sees."""
+    x_m, y_m, z_m = scan.points_m.T
+    return scan.selected((x_m > 0.7 * np.abs(y_m)) & (np.abs(z_m) < 0.3 * x_m))
+
+
 @pytest.mark.parametrize("turns", [1, 2])
 def test_any_axis_may_be_up(turns: int) -> None:
     """Cells about the axis along which a LiDAR looks would be narrower than the distance of its beams."""
-    ahead = [scan.selected(scan.points_m[:, 0] > 0.7 * np.abs(scan.points_m[:, 1])) for scan in _drive(_ROOM_M, 0.0)]
+    ahead = [_ahead(scan) for scan in _drive(_ROOM_M, 0.0)]
     visited = [_with_visitor(scan, 25.0 * frame - 50.0)[0] for frame, scan in enumerate(ahead)]
     rolled = [Scan(np.roll(scan.points_m, turns, axis=1)) for scan in visited]
     dropped_m, rolled_m = (drop_moving(scans, _CONFIG)[1] for scans in (visited, rolled))
