@@ -21,6 +21,9 @@ Uint16Array = npt.NDArray[np.uint16]
 Uint32Array = npt.NDArray[np.uint32]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
+Z_AXIS: FloatArray = np.array([0.0, 0.0, 1.0])
+Z_AXIS.setflags(write=False)
+
 _ORTHONORMAL_TOLERANCE = 1e-6
 # Differences below these are rounding errors, which differ between CPUs.
 _ROUNDING = 1e-9
@@ -70,6 +73,14 @@ def largest_index(values: FloatArray) -> int:
 def fixed_sign(direction: FloatArray) -> FloatArray:
     """Return a direction (N,) of arbitrary sign, such as an eigenvector, with its largest component positive."""
     return np.asarray(direction * np.copysign(1.0, direction[largest_index(direction)]))
+
+
+def turn_upwards(axis: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) that turns a unit vector (3,) to z; it does nothing to z itself."""
+    beside = _IDENTITY[1] if abs(axis[0]) > abs(axis[1]) else _IDENTITY[0]
+    first = beside - axis * (axis @ beside)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first), axis])
 
 
 def rotation_angle_rad(rotation: FloatArray) -> float:

@@ -92,13 +92,15 @@ class PreparedLidar:
         """The LiDAR as one side of a short GICP; only where verification is on."""
         assert self.view is not None  # noqa: S101
         gicp = short_gicp(self.config.fine)
-        return VerificationCloud(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
+        cloud = self.cloud
+        return VerificationCloud(self.view, prepare_gicp_cloud(cloud.lidar, cloud.points_m, gicp, cloud.elevation_axis))
 
     @cached_property
     def side(self) -> RegistrationCloud:
         """The LiDAR as one side of a fine registration."""
         views = [] if self.view is None else self.view.alone
-        return prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, views, self.config)
+        cloud = self.cloud
+        return prepare_registration_cloud(cloud.lidar, cloud.points_m, views, self.config, cloud.elevation_axis)
 
     def with_view(self, view: SensorView) -> "PreparedLidar":
         """Return the LiDAR with another view of the same points, with the clouds that were built so far."""

@@ -61,13 +61,15 @@ class PartlyFixedCloud:
     @cached_property
     def fixed(self) -> GicpCloud:
         """The cloud of fixed objects alone."""
-        return prepare_gicp_cloud(self.cloud.name, self.cloud.points_m[self.is_fixed], self.config)
+        cloud = self.cloud
+        return prepare_gicp_cloud(cloud.name, cloud.points_m[self.is_fixed], self.config, cloud.elevation_axis)
 
     @cached_property
     def few(self) -> GicpCloud:
         """Some points of `fixed`, enough to find where a registration ends."""
         few_points = self.config.model_copy(update={"max_points": _ROUGH_POINTS})
-        return prepare_gicp_cloud(self.cloud.name, self.fixed.points_m, few_points)
+        fixed = self.fixed
+        return prepare_gicp_cloud(fixed.name, fixed.points_m, few_points, fixed.elevation_axis)
 
 
 def without_movable(

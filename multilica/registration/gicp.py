@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,11 +11,10 @@ import numpy as np
 import small_gicp
 
 from multilica.config import FineConfig
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.geometry import Z_AXIS, FloatArray, RigidTransform
 from multilica.registration.creep import Creep
 from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
-from multilica.registration.sensor_biases import upward_axis
 from multilica.results import GicpStep, PairRegistration
 from multilica.time_limit import require_time
 
@@ -57,6 +56,7 @@ class GicpCloud:
         tree: nearest neighbours among `points_m`.
         engine: name of the engine.
         neighbours: points from which a covariance or a normal is estimated.
+        elevation_axis: (3,) of the LiDAR's frame.
     """
 
     name: str
@@ -64,10 +64,12 @@ class GicpCloud:
     tree: PointTree
     engine: str
     neighbours: int
+    elevation_axis: FloatArray = field(default_factory=lambda: Z_AXIS)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out the engine's types, which cannot be pickled, and are the same bits when computed again."""
-        return GicpCloud, (self.name, self.points_m, self.tree, self.engine, self.neighbours)
+        values = self.name, self.points_m, self.tree, self.engine, self.neighbours, self.elevation_axis
+        return GicpCloud, values
 
     @cached_property
     def engine_cloud(self) -> Any:  # noqa: ANN401 - the engines' types have nothing in common
@@ -85,11 +87,6 @@ class GicpCloud:
         return cloud
 
     @cached_property
-    def upward_axis(self) -> int:
-        """The axis of the frame from which the LiDAR's elevations are counted."""
-        return upward_axis(self.points_m)
-
-    @cached_property
     def is_sparse(self) -> bool:
         """True if many of its points have neighbours on one scan line only, more than on edges and posts."""
         some = np.arange(0, len(self.points_m), max(1, len(self.points_m) // _LINE_SAMPLE))
@@ -101,7 +98,9 @@ class GicpCloud:
         return Surface(self.tree, self.neighbours)
 
 
-def prepare_gicp_cloud(name: str, points_m: FloatArray, config: FineConfig) -> GicpCloud:
+def prepare_gicp_cloud(
+    name: str, points_m: FloatArray, config: FineConfig, elevation_axis: FloatArray = Z_AXIS
+) -> GicpCloud:
     """Thin a cloud on the engine's grid."""
     thinned_on_grid = thin if config.engine == "small_gicp" else thin_from_cloud
     thinned, voxel_size_m = thinned_on_grid(points_m, config.voxel_size_m), config.voxel_size_m
@@ -109,7 +108,7 @@ def prepare_gicp_cloud(name: str, points_m: FloatArray, config: FineConfig) -> G
         voxel_size_m *= _COARSER
         thinned = thinned_on_grid(thinned, voxel_size_m)
     tree = PointTree(thinned)
-    return GicpCloud(name, tree.points_m, tree, config.engine, config.neighbours)
+    return GicpCloud(name, tree.points_m, tree, config.engine, config.neighbours, elevation_axis)
 
 
 def register(
@@ -207,7 +206,7 @@ def _within_reach(
         near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
     if len(near) > _WORTH_CROPPING * len(source.points_m):
         return source
-    return prepare_gicp_cloud(source.name, source.points_m[near], config)
+    return prepare_gicp_cloud(source.name, source.points_m[near], config, source.elevation_axis)
 
 
 def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:

@@ -113,7 +113,7 @@ class PlaneResiduals:
         target's scale is therefore taken at the point of the source: what they have in common moves the source only.
         """
         in_source = self.normals @ pose.rotation
-        by_target = slopes_per_bias(overlap.target.points_m[self.index], self.normals, overlap.target.upward_axis)
+        by_target = slopes_per_bias(overlap.target.points_m[self.index], self.normals, overlap.target.elevation_axis)
         by_target[:, SCALE] = np.einsum("ij,ij->i", self.normals, self.points_m)
         by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
         (x, y, z), (a, b, c) = self.arms.T, self.normals.T
@@ -122,7 +122,7 @@ class PlaneResiduals:
 
     def by_rings(self, overlap: Overlap, pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
         """(M, 3) derivatives of the residuals by the biases of the ring of the target, and of that of the source."""
-        of_target = shifts_per_ring_bias(overlap.target.points_m[self.index], overlap.target.upward_axis)
+        of_target = shifts_per_ring_bias(overlap.target.points_m[self.index], overlap.target.elevation_axis)
         of_source = overlap.ring_shifts[:, self.rows]
         return np.einsum("ij,kij->ik", self.normals, of_target), -np.einsum(
             "ij,kij->ik", self.normals @ pose.rotation, of_source
@@ -145,12 +145,12 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, max
         normals,
         MovedPoints.of(target.tree, placed_m),
         sides_of(normals, points_m),
-        shifts_per_bias(points_m, normals, source.upward_axis),
-        shifts_per_ring_bias(points_m, source.upward_axis),
+        shifts_per_bias(points_m, normals, source.elevation_axis),
+        shifts_per_ring_bias(points_m, source.elevation_axis),
         numbered(np.column_stack([np.floor(placed_m / _SURFACE_M), axes])),
         numbered(np.column_stack([np.floor(offsets_m / _PLANE_M), axes])),
-        ring_numbers(points_m, source.upward_axis),
-        ring_numbers(target.points_m, target.upward_axis),
+        ring_numbers(points_m, source.elevation_axis),
+        ring_numbers(target.points_m, target.elevation_axis),
     )
 
 
@@ -177,7 +177,7 @@ def find_residuals(
     found_m = overlap.target.points_m[index]
     residual_m = np.einsum("ij,ij->i", normals, points_m - found_m)
     if np.any(of_target):
-        residual_m += slopes_per_bias(found_m, normals, overlap.target.upward_axis) @ of_target
+        residual_m += slopes_per_bias(found_m, normals, overlap.target.elevation_axis) @ of_target
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     agreement[agreement * sides_of(normals, found_m) * overlap.sides[matched] < 0.0] = 0.0
     if sigma_m is None:

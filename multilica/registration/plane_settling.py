@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.geometry import FloatArray, RigidTransform, turn_upwards
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.plane_equations import POSE_SCALE, floored, members, noise_of, usual_variance
 from multilica.registration.plane_matches import (
@@ -105,7 +105,7 @@ def settle_beside_lines(target: GicpCloud, source: GicpCloud, first: Settled, bi
     begin, best = first.pose, settle_near(first.pose, roughly=True)
     while best is not None:
         begun = best
-        for turned in _turned(begun.pose, source.upward_axis):
+        for turned in _turned(begun.pose, source.elevation_axis):
             other = settle_near(turned, roughly=True)
             if other is not None and _is_unlocked(other, best):
                 begin, best = turned, other
@@ -115,10 +115,10 @@ def settle_beside_lines(target: GicpCloud, source: GicpCloud, first: Settled, bi
     return found if found is not None and _is_unlocked(found, first) else first
 
 
-def _turned(pose: RigidTransform, upward_axis: int) -> Iterator[RigidTransform]:
+def _turned(pose: RigidTransform, elevation_axis: FloatArray) -> Iterator[RigidTransform]:
     """Return a pose turned a little about the two axes of the source across which its scan lines lie."""
     here = RigidTransform.identity(pose.source, pose.source)
-    for axis in np.delete(np.eye(3), upward_axis, axis=0):
+    for axis in turn_upwards(elevation_axis)[:2]:
         for turn_rad in _TURNS_RAD:
             yield pose @ moved(here, turn_rad * axis, np.zeros(3))
 

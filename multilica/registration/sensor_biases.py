@@ -18,12 +18,6 @@ RING_BIAS_COUNT = 3
 SCALE = 2
 """Place of the scale among the biases of a LiDAR."""
 
-# Another axis than z is up if points rise along it by this part of what they rise along z, or, where z is ahead (mean
-# cosine of the beams), by as little: half the diagonal of the field of view.
-_MUCH_LESS = 0.6
-_AHEAD = 0.5
-_AS_LITTLE = 1.5
-_AXIS_POINTS = 2000
 # Rings that are closer count as one.
 _RING_DEG = 1.0
 # The elevation of a LiDAR is the mean of up to 64 rings.
@@ -78,25 +72,7 @@ class BiasPosterior:
     prior: BiasPrior
 
 
-def upward_axis(points_m: FloatArray) -> int:
-    """Return the axis of the LiDAR's frame from which elevations are counted: 0, 1 or 2.
-
-    Beams turn about it, or spread wider across it than along it. It is z, unless the points (N, 3) rise much less along
-    another. Some drivers give x up and z forward: along the way in which a LiDAR looks, points rise little.
-    """
-    some = points_m[:: max(1, len(points_m) // _AXIS_POINTS)]
-    if not len(some):
-        return 2
-    beams = np.clip(_beams(some), -1.0, 1.0)
-    low, high = np.percentile(np.arcsin(beams), [5.0, 95.0], axis=0)
-    is_ahead = np.abs(beams.mean(axis=0)) > _AHEAD
-    rises = np.where(is_ahead, np.inf, high - low)
-    least = int(np.argmin(rises))
-    most = (_AS_LITTLE if is_ahead[2] else _MUCH_LESS) * (high - low)[2]
-    return least if rises[least] < most else 2
-
-
-def shifts_per_bias(points_m: FloatArray, normals: FloatArray, axis: int = 2) -> FloatArray:
+def shifts_per_bias(points_m: FloatArray, normals: FloatArray, axis: FloatArray) -> FloatArray:
     """Return (4, N, 3) by how much each point is off per unit of each bias of its LiDAR.
 
     An azimuth bias is none of them: it rotates the LiDAR's frame, and the pose is that of the frame in which the points
@@ -104,52 +80,43 @@ def shifts_per_bias(points_m: FloatArray, normals: FloatArray, axis: int = 2) ->
 
     Args:
         points_m, normals: (N, 3) in the LiDAR's frame.
-        axis: as `upward_axis` returns it.
+        axis: (3,) from which its elevations are counted.
     """
     beams = _beams(points_m)
     glancing = 1.0 - np.abs(np.einsum("ij,ij->i", beams, normals))
     return np.stack([beams, _upwards(points_m, axis), points_m, beams * glancing[:, None]])
 
 
-def slopes_per_bias(points_m: FloatArray, normals: FloatArray, axis: int = 2) -> FloatArray:
+def slopes_per_bias(points_m: FloatArray, normals: FloatArray, axis: FloatArray) -> FloatArray:
     """Return (N, 4) how far the shifts of `shifts_per_bias` go along the normals."""
     range_m = np.maximum(lengths(points_m), 1e-9)
     along_m = np.einsum("ij,ij->i", points_m, normals)
     cosine = along_m / range_m
-    flat_m = _flat_m(points_m, axis)
-    # The upward direction is the vertical less its part along the beam, times the range by the flat range.
-    upwards_m = (normals[:, axis] * range_m - points_m[:, axis] * cosine) * range_m / flat_m
+    height_m = points_m @ axis
+    # The upward direction is the axis less its part along the beam, times the range by the flat range.
+    upwards_m = (normals @ axis * range_m - height_m * cosine) * range_m / _flat_m(range_m, height_m)
     return np.column_stack([cosine, upwards_m, along_m, cosine * (1.0 - np.abs(cosine))])
 
 
-def shifts_per_ring_bias(points_m: FloatArray, axis: int = 2) -> FloatArray:
+def shifts_per_ring_bias(points_m: FloatArray, axis: FloatArray) -> FloatArray:
     """Return (3, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per unit of each bias of its ring."""
-    left, (first, second) = np.zeros_like(points_m), _across(axis)
-    left[:, first], left[:, second] = -points_m[:, second], points_m[:, first]
-    return np.stack([_beams(points_m), _upwards(points_m, axis), left])
+    return np.stack([_beams(points_m), _upwards(points_m, axis), np.cross(axis, points_m)])
 
 
 def _beams(points_m: FloatArray) -> FloatArray:
     return np.asarray(points_m / np.maximum(lengths(points_m), 1e-9)[:, None])
 
 
-def _upwards(points_m: FloatArray, axis: int) -> FloatArray:
+def _upwards(points_m: FloatArray, axis: FloatArray) -> FloatArray:
     """Return how a point moves per radian of elevation."""
-    flat_m = _flat_m(points_m, axis)
-    upwards = -points_m * (points_m[:, axis] / flat_m)[:, None]
-    upwards[:, axis] = flat_m
-    return upwards
+    range_m, height_m = lengths(points_m), points_m @ axis
+    flat_m = _flat_m(range_m, height_m)
+    return np.asarray(np.outer(range_m**2 / flat_m, axis) - points_m * (height_m / flat_m)[:, None])
 
 
-def _across(axis: int) -> tuple[int, int]:
-    """Return the other axes, in the order in which they turn about this one."""
-    return (axis + 1) % 3, (axis + 2) % 3
-
-
-def _flat_m(points_m: FloatArray, axis: int) -> FloatArray:
+def _flat_m(range_m: FloatArray, height_m: FloatArray) -> FloatArray:
     """Return the distances (N,) from the axis."""
-    first, second = _across(axis)
-    return np.maximum(np.hypot(points_m[:, first], points_m[:, second]), 1e-9)
+    return np.sqrt(np.maximum(range_m**2 - height_m**2, 1e-18))
 
 
 def prior_sigmas(lidar: str, config: RefineConfig) -> FloatArray:
@@ -168,9 +135,10 @@ def ring_sigmas(bias_sigmas: FloatArray, rings: int) -> FloatArray:
     return np.tile([range_m, _RING_ANGLE * elevation, _RING_ANGLE * elevation], rings)
 
 
-def ring_numbers(points_m: FloatArray, axis: int = 2) -> IndexArray:
+def ring_numbers(points_m: FloatArray, axis: FloatArray) -> IndexArray:
     """Return the band of elevation (N,) of each point (N, 3) in the LiDAR's frame, from 0."""
-    elevation_rad = np.arctan2(points_m[:, axis], _flat_m(points_m, axis))
+    height_m = points_m @ axis
+    elevation_rad = np.arctan2(height_m, _flat_m(lengths(points_m), height_m))
     return np.asarray((np.rad2deg(elevation_rad) + 90.0) / _RING_DEG, dtype=np.int64)
 
 

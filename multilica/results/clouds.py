@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from multilica.geometry import Float32Array, FloatArray, RigidTransform
+from multilica.geometry import Z_AXIS, Float32Array, FloatArray, RigidTransform
 from multilica.results.registrations import Reason
 from multilica.results.values import Figure, not_in_document
 
@@ -37,6 +37,7 @@ class PreprocessedCloud:
         dropped_m: per reason, the (K, 3) points that were dropped.
         health: None where the sensor was not examined.
         left_out: kept returns that `returns_m` lacks.
+        elevation_axis: (3,) of the LiDAR's frame, about which its beams turn.
     """
 
     lidar: str
@@ -45,6 +46,7 @@ class PreprocessedCloud:
     dropped_m: Mapping[str, FloatArray] = field(default_factory=dict)
     health: SensorHealth | None = None
     left_out: int = 0
+    elevation_axis: FloatArray = field(default_factory=lambda: Z_AXIS)
 
     @property
     def returns(self) -> int:

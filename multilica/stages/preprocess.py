@@ -10,11 +10,11 @@ import scipy
 from scipy.spatial import cKDTree
 
 from multilica.config import PreprocessConfig, StillnessConfig
-from multilica.geometry import FloatArray, lengths, read_only
+from multilica.geometry import Z_AXIS, FloatArray, lengths, read_only, turn_upwards
 from multilica.registration.neighbours import thin
-from multilica.registration.sensor_biases import upward_axis
 from multilica.results import BoolArray, IndexArray, PreprocessedCloud
 from multilica.snapshot import LidarScans, Scan
+from multilica.solvers.elevation_axis import find_elevation_axis
 
 # 0.2 deg, the usual step of spinning LiDARs.
 _FINEST_CELL_RAD = 0.0035
@@ -48,8 +48,10 @@ def preprocess(
         The kept points in the LiDAR's own frame, with the dropped ones by reason.
     """
     moving = np.empty((0, 3))
+    largest = max((scan.points_m for scan in lidar.scans), key=len, default=np.empty((0, 3)))
+    elevation_axis = find_elevation_axis(largest.astype(np.float64))
     if stillness is not None and stillness.enabled:
-        scans, moving = drop_moving(lidar.scans, stillness)
+        scans, moving = drop_moving(lidar.scans, stillness, elevation_axis)
         lidar = replace(lidar, scans=scans)
     points_m = lidar.points_m
     range_m = lengths(points_m)
@@ -62,6 +64,7 @@ def preprocess(
         returns_m=read_only(kept, np.float32),
         points_m=read_only(thin(kept, config.voxel_size_m), np.float64),
         dropped_m={reason: points for reason, points in dropped.items() if len(points)},
+        elevation_axis=elevation_axis,
     )
 
 
@@ -70,10 +73,11 @@ class _Grid:
     """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest.
 
     Args:
-        axis: about which the columns lie, away from the beams. Near it they are narrower than the distance of beams.
+        upwards: (3, 3) turns the axis about which the columns lie, away from the beams, to z. Near it they are narrower
+            than the distance of beams.
     """
 
-    axis: int
+    upwards: FloatArray
     cell_rad: float
     lowest_rad: float
     rows: int
@@ -81,8 +85,8 @@ class _Grid:
 
     def cells(self, points_m: FloatArray, range_m: FloatArray) -> IndexArray:
         """Return the cell (N,) of each point."""
-        x_m, y_m, z_m = np.roll(points_m, 2 - self.axis, axis=1).T
-        row = ((np.arcsin(z_m / range_m) - self.lowest_rad) / self.cell_rad).astype(np.int64)
+        x_m, y_m, z_m = self.upwards @ points_m.T
+        row = ((np.arcsin(np.clip(z_m / range_m, -1.0, 1.0)) - self.lowest_rad) / self.cell_rad).astype(np.int64)
         turn = np.arctan2(y_m, x_m) / (2.0 * np.pi) % 1.0
         column = (turn * self.columns).astype(np.int64) % self.columns
         return np.asarray(np.clip(row, 0, self.rows - 1) * self.columns + column)
@@ -115,7 +119,9 @@ class _FrameImage:
         return _around(scipy.ndimage.maximum_filter, farthest_of_cell_m.reshape(self.shape))
 
 
-def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
+def drop_moving(
+    scans: Sequence[Scan], config: StillnessConfig, elevation_axis: FloatArray = Z_AXIS
+) -> tuple[tuple[Scan, ...], FloatArray]:
     """Drop returns of a LiDAR at rest from places that another frame's beams prove empty.
 
     A return has moved if in some other frame all beams around its direction, at least as densely as in its own, pass
@@ -128,7 +134,7 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
         The scans without those returns, and the (K, 3) dropped points.
     """
     returns = [_usable_returns(scan) for scan in scans]
-    grid = _grid([usable for _, *usable in returns]) if len(scans) > 1 else None
+    grid = _grid([usable for _, *usable in returns], elevation_axis) if len(scans) > 1 else None
     if grid is None:
         return tuple(scans), np.empty((0, 3))
     frames = [_frame(*each, grid) for each in returns]
@@ -178,7 +184,7 @@ def _alone(frame: _FrameImage, others: Sequence[_FrameImage]) -> BoolArray:
     return np.asarray(np.mean([~np.isfinite(other.nearest_m[frame.cells]) for other in whole], axis=0) > 0.5)
 
 
-def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:
+def _grid(frames: Sequence[Sequence[FloatArray]], elevation_axis: FloatArray) -> _Grid | None:
     """Make the grid for points (M, 3) and ranges (M,) of each frame; None if there are too few points."""
     points_m, range_m = max(frames, key=lambda frame: len(frame[0]))
     if len(points_m) <= _SPACING_NEIGHBOUR:
@@ -188,11 +194,10 @@ def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:
     tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
     distances, _ = tree.query(sample, k=_SPACING_NEIGHBOUR + 1)
     cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
-    axis = upward_axis(points_m)
-    sines = [points_m[:, axis] / range_m for points_m, range_m in frames if len(points_m)]
+    sines = [np.clip(points_m @ elevation_axis / range_m, -1.0, 1.0) for points_m, range_m in frames if len(points_m)]
     lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
     rows = int((highest - lowest) / cell_rad) + 1
-    return _Grid(axis, cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
+    return _Grid(turn_upwards(elevation_axis), cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
 
 
 def _usable_returns(scan: Scan) -> tuple[BoolArray, FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from multilica.config import CalibrationConfig, FineConfig
-from multilica.geometry import FloatArray
+from multilica.geometry import Z_AXIS, FloatArray
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, prepare_gicp_cloud
 from multilica.visibility.sensor_view import PlacedView
 
@@ -33,15 +33,20 @@ class RegistrationCloud:
         """The cloud with fewer points, enough to compare finalists."""
         if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
             return self.cloud
-        return prepare_gicp_cloud(self.cloud.name, self.cloud.points_m, self.finalist_gicp)
+        cloud = self.cloud
+        return prepare_gicp_cloud(cloud.name, cloud.points_m, self.finalist_gicp, cloud.elevation_axis)
 
 
 def prepare_registration_cloud(
-    name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig
+    name: str,
+    points_m: FloatArray,
+    views: Sequence[PlacedView],
+    config: CalibrationConfig,
+    elevation_axis: FloatArray = Z_AXIS,
 ) -> RegistrationCloud:
     """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
     fine = config.fine
-    cloud = prepare_gicp_cloud(name, points_m, fine)
+    cloud = prepare_gicp_cloud(name, points_m, fine, elevation_axis)
     iterations = min(SHORT_ITERATIONS, fine.max_iterations)
     finalist_gicp = fine.model_copy(update={"max_points": _FINALIST_POINTS, "max_iterations": iterations})
     return RegistrationCloud(cloud, tuple(views), finalist_gicp)

@@ -39,8 +39,6 @@ def _rooms(turn_rad, seed=0):
     target, source = (
         prepare_gicp_cloud(name, cloud_m, FineConfig()) for name, cloud_m in (("t", walls_m), ("s", source_m))
     )
-    for cloud in (target, source):
-        cloud.__dict__["upward_axis"] = 2  # in these walls, another may be found
     return target, source, truth
 
 

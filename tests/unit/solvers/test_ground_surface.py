@@ -2,6 +2,7 @@
 import numpy as np
 import pytest
 
+from multilica.geometry import Z_AXIS
 from multilica.registration import sensor_biases
 from multilica.solvers import ground_surface
 from multilica.solvers.ground_surface import axes_of, fit_surface
@@ -60,7 +61,7 @@ def test_biases_of_range_and_elevation_lift_the_ground(lidar_m):
     """By as much as the points of a LiDAR over the middle, or not far below it."""
     places_m = np.random.default_rng(1).uniform(-12, 12, (200, 2))
     points_m = np.column_stack([places_m, np.full(200, -lidar_m)])
-    shifts = sensor_biases.shifts_per_bias(points_m, points_m)[:2, :, 2].T
+    shifts = sensor_biases.shifts_per_bias(points_m, points_m, Z_AXIS)[:2, :, 2].T
     found = ground_surface._by_biases(places_m, lidar_m)
     beyond = np.hypot(*places_m.T) > (0.0 if lidar_m >= ground_surface._SENSOR_HEIGHT_M else 3.0)
     np.testing.assert_allclose(found[beyond], shifts[beyond], atol=1e-9 if np.all(beyond) else 0.05)
