@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Doubt that the rig as a whole casts on accepted and uncertain pairs."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -20,32 +20,29 @@ _CODE = "cycle_contradicted"
 # A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
 _TURNED_RAD = np.deg2rad(45.0)
 
-ScoreTurned = Callable[[RigidTransform], VisibilityScore]
-"""Scores all that a LiDAR's group sees, turned by a motion ``T_lidar_lidar``, against itself."""
-
 
 def check_scene_symmetry(
-    pairs: Sequence[PairRegistration], score_pose: ScorePose, score_turned: ScoreTurned, config: AcceptanceConfig
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
 ) -> list[PairRegistration]:
     """Leave accepted and uncertain pairs undecided if a symmetry of the scene turns them into another possible pose.
 
     Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
     other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
     The motion between these is the symmetry of the hall, and so is its inverse; each takes the pose of the first two to
-    one that may be correct. All LiDARs that pairs join stand in the same hall, also where the pair has none of them. It
-    is no symmetry if what the whole group sees contradicts itself when turned, but the turned pose competes
-    nevertheless if it is nearly as likely. So does a pose that is one repetition of the scene away, if the pair has a
-    LiDAR in common with the one that sees it, and no cycle confirms the pair.
+    one that may be correct. All LiDARs that pairs join stand in the same hall, also where the pair has none of them.
+    A turned pose competes if no beam contradicts it, or if it is nearly as likely. So does a pose that is one
+    repetition of the scene away, if the pair has a LiDAR in common with the one that sees it, and no cycle confirms the
+    pair.
 
     Args:
-        score_pose, score_turned: with the tolerances of rough poses.
+        score_pose: with the tolerances of rough poses.
 
     Returns:
         The pairs in their order, some with another verdict.
     """
     repeating = [pair for pair in pairs if pair.registrations and competing_poses(pair.registrations, config)]
     return [
-        _turned(pair, pairs, repeating, score_pose, score_turned, config)
+        _turned(pair, pairs, repeating, score_pose, config)
         if repeating and may_join(pair) and pair.registrations
         else pair
         for pair in pairs
@@ -57,7 +54,6 @@ def _turned(
     pairs: Sequence[PairRegistration],
     repeating: Sequence[PairRegistration],
     score_pose: ScorePose,
-    score_turned: ScoreTurned,
     config: AcceptanceConfig,
 ) -> PairRegistration:
     pose, margin = pair.T_target_source, config.min_log_odds_margin
@@ -69,7 +65,7 @@ def _turned(
             continue
         competing = score_pose(there)
         lead = pair.registrations[0].rough_lead_over(competing)
-        if is_turn and (lead < margin or _is_possible(competing, symmetry, score_turned, margin)):
+        if is_turn and min(lead, competing.visibility.contradiction) < margin:
             return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
         if is_own and lead < margin and not _is_confirmed(pair, pairs):
             return replace(pair, verdict=Verdict("undecided", (_repetition(pair, competing, other, lead, config),)))
@@ -105,12 +101,6 @@ def _seen_from(
 
 def _is_confirmed(pair: PairRegistration, pairs: Sequence[PairRegistration]) -> bool:
     return pair.source in connected(pair.target, [each for each in pairs if each is not pair and may_join(each)])
-
-
-def _is_possible(competing: Registration, symmetry: RigidTransform, score_turned: ScoreTurned, margin: float) -> bool:
-    """Return whether beams contradict neither a turned pose nor what the whole group sees, turned against itself."""
-    against = competing.visibility.contradiction
-    return bool(against < margin and against + score_turned(symmetry).contradiction < margin)
 
 
 def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) -> Iterator[RigidTransform]:

@@ -205,7 +205,7 @@ def _check_pairs(state: CalibrationState) -> bool:
     """Check the accepted pairs against symmetries of the scene, cycles and chains."""
     limits = state.config.acceptance
     checks: tuple[Callable[[Sequence[PairRegistration]], list[PairRegistration]], ...] = (
-        lambda pairs: check_scene_symmetry(pairs, state.score_rough_pose, state.score_turned, limits),
+        lambda pairs: check_scene_symmetry(pairs, state.score_rough_pose, limits),
         lambda pairs: check_cycles(pairs, state.score_pose, limits),
         lambda pairs: check_ambiguous_chains(pairs, state.score_pose, limits),
         lambda pairs: check_shared_repetition(pairs, state.score_rough_pose, limits),

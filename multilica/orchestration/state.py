@@ -8,7 +8,6 @@ from itertools import combinations
 
 import numpy as np
 
-from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
@@ -28,12 +27,11 @@ from multilica.results import (
     Registration,
     SensorHealth,
     TimeLimit,
-    VisibilityScore,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.slow_motion import SlowMotion
 from multilica.visibility.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
+from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose
 from multilica.workers import Workers
 
 _Scores = dict[tuple[str, str, bytes], Registration]
@@ -133,12 +131,6 @@ class CalibrationState:
     def score_rough_pose(self, pose: RigidTransform) -> Registration:
         """Score a pose that may be off by some centimetres."""
         return self._scored(pose, self.rough_scores, ROUGH_TOLERANCES)
-
-    def score_turned(self, motion: RigidTransform) -> VisibilityScore:
-        """Score all that a LiDAR and those that accepted pairs link to it see, turned, against itself."""
-        poses = PairGraph.of(self.clouds, self.accepted).poses(motion.target)
-        placed = [(pose, self._view(name)) for name, pose in sorted(poses.items())]
-        return score_visibility(placed, placed, motion, *ROUGH_TOLERANCES)
 
     def points_of(self, poses: Mapping[str, RigidTransform]) -> FloatArray:
         """Return the points (N, 3) of LiDARs at their poses."""
