@@ -27,7 +27,8 @@ from multilica.ingest.recording import MessageObserver, ProgressObserver, saniti
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.selection.standstill import untold
 from multilica.ingest.selection.time_range import TimeRange
-from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
+from multilica.ingest.selection.topics import choose_topics, unread_notes
+from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
 from multilica.ros2 import Ros2Node
 from multilica.snapshot import LidarScans, Snapshot

@@ -13,7 +13,8 @@ from multilica.ingest.locate import PathLike, are_stops, find_source, locate, re
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
-from multilica.ingest.selection.window import choose_topics, collect_frames
+from multilica.ingest.selection.topics import choose_topics
+from multilica.ingest.selection.window import collect_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot
 
 

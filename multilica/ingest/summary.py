@@ -18,7 +18,8 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
+from multilica.ingest.selection.topics import choose_topics, unread_notes
+from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_reader import (
     assemble_snapshot,
     live_address,
