@@ -28,7 +28,7 @@ from multilica.ingest.remote.address import is_live, require_valid, without_secr
 from multilica.ingest.selection.standstill import untold
 from multilica.ingest.selection.time_range import TimeRange
 from multilica.ingest.selection.topics import choose_topics, unread_notes
-from multilica.ingest.selection.window import Window, collect_frames, require_frames
+from multilica.ingest.selection.window import Window, collect_frames, require_frames, require_separate
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
 from multilica.ros2 import Ros2Node
 from multilica.snapshot import LidarScans, Snapshot
@@ -101,7 +101,7 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
     Raises:
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, broken, or not what its name says.
-        UnfitSnapshotError: there are no point clouds, or none in the window.
+        UnfitSnapshotError: there are no point clouds, or none in the window, or a topic holds those of several LiDARs.
         MemoryLimitError: reading takes more than `config.max_memory_mb`.
         UnknownNameError: there is no point cloud topic of that name.
         UsageError: several recordings or folders of the same LiDARs, or a topic with two names.
@@ -173,7 +173,8 @@ def listen(
 
     Raises:
         UnreadableSourceError: nothing answers there.
-        UnfitSnapshotError: there are no point clouds, or no LiDAR sends any; with `config.strict`, any fault.
+        UnfitSnapshotError: there are no point clouds, or no LiDAR sends any, or several send on one topic; with
+            `config.strict`, any fault.
         UnknownNameError: a topic is not offered in time.
         UsageError: a window is configured, or the address is not valid.
     """
@@ -190,6 +191,7 @@ def listen(
         window = collect_frames(recording, given.keys(), config, label)
         if not window.clouds:
             raise UnfitSnapshotError(nothing_sent(label, given, config))
+        require_separate(window, given)
         if config.strict and window.faults:
             raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
         static = read_static_transforms(recording)

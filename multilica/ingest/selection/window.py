@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -34,12 +35,14 @@ class Window:
         broken: topic -> error, for topics whose frames are all broken.
         notes: what the user should know.
         faults: the notes on unusable parts of the recording.
+        joined: topic -> error, for topics that hold the clouds of several LiDARs.
     """
 
     clouds: Mapping[str, tuple[Cloud, ...]]
     broken: Mapping[str, str]
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()
+    joined: Mapping[str, str] = field(default_factory=dict)
 
 
 def collect_frames(
@@ -84,6 +87,7 @@ def collect_frames(
         {topic: sentences[0] for topic, sentences in unread.items() if sentences and topic not in clouds},
         (*faults, *shortages, *remarks),
         (*(shortages if damage else ()), *faults),
+        {stream.topic: joined for stream in streams if (joined := stream.joined(label))},
     )
 
 
@@ -93,8 +97,9 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
     Raises:
         UnreadableSourceError: all frames are broken, or all of a topic that was asked for by name; with
             `config.strict`, any fault.
-        UnfitSnapshotError: no frame lies in the window.
+        UnfitSnapshotError: no frame lies in the window, or a topic holds the clouds of several LiDARs.
     """
+    require_separate(window, topics)
     if config.strict and window.faults:
         raise UnreadableSourceError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
     has_frames = bool(window.clouds.keys() & set(topics))
@@ -105,6 +110,12 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
             raise UnfitSnapshotError(f"{label} has no scan of '{topic}' after {config.start_s:g} s.")
     if not has_frames:
         raise UnfitSnapshotError(f"{label} has no readable scan after {config.start_s:g} s.")
+
+
+def require_separate(window: Window, topics: Collection[str]) -> None:
+    """Raise UnfitSnapshotError if one of the topics holds the clouds of several LiDARs."""
+    for topic in sorted(window.joined.keys() & set(topics)):
+        raise UnfitSnapshotError(window.joined[topic])
 
 
 def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeRange, frames: int) -> str:
@@ -199,6 +210,19 @@ class TopicFrames:
             scan = Scan(np.empty((0, 3), np.float32), scan.stamp_ns)
         memory_budget().take(scan.nbytes)
         self.clouds.append(replace(cloud, scan=replace(scan, log_time_ns=message.log_time_ns)))
+
+    def joined(self, label: str) -> str:
+        """Return a sentence if the clouds are of several LiDARs; empty if not."""
+        devices = sorted({cloud.device or cloud.frame_id for cloud in self.clouds})
+        frame_ids = [cloud.frame_id for cloud in self.clouds]
+        # A frame may be renamed once; several LiDARs send in turn.
+        changes = sum(one != other for one, other in pairwise(frame_ids))
+        if len({cloud.device for cloud in self.clouds}) < 2 and changes <= max(1, len(set(frame_ids)) - 1):
+            return ""
+        return (
+            f"In {label}, '{self.topic}' holds the clouds of {len(devices)} LiDARs ({', '.join(devices)}); expected a "
+            "topic for each, as with `multi_topic: 1` of the Livox drivers: record it so, or choose others by --topic."
+        )
 
     def faults(self) -> Iterator[str]:
         """Yield sentences on scans that cannot be used as they are."""
