@@ -18,7 +18,7 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.ingest.selection.topics import choose_topics, unread_notes
+from multilica.ingest.selection.topics import choose_topics, named_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_reader import (
     assemble_snapshot,
@@ -128,7 +128,8 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
-        snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
+        notes, chosen = unread_notes(recording), named_topics(given, config)
+        snapshot = assemble_snapshot(found.label, given, window, static, notes=notes, chosen=chosen)
         snapshot = with_recorded_notes(snapshot, recording, found.files)
         snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
         spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
@@ -155,7 +156,7 @@ def _inspect_vehicle(url: str, config: IngestConfig) -> SourceSummary:
             objection = nothing_sent(label, given, config)
         static = read_static_transforms(recording)
         notes = [*unread_notes(recording), *recording.notes]
-        snapshot = assemble_snapshot(label, given, window, static, notes=notes)
+        snapshot = assemble_snapshot(label, given, window, static, notes=notes, chosen=named_topics(given, config))
         taken = {topic: [frame.scan.log_time_ns for frame in frames] for topic, frames in window.clouds.items()}
         recording.topics = tuple(replace(topic, count=len(taken.get(topic.name, ()))) for topic in recording.topics)
         spans = {topic: (min(times), max(times)) for topic, times in taken.items()}
@@ -210,7 +211,7 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
         given = choose_topics(recording, config.topics, label, config.only)
         topics = {topic.name for topic in recording.topics if is_cloud(topic)} - ({MERGED_TOPIC} - given.keys())
         window = collect_frames(recording, topics, config, label)
-        require_frames(window, given.keys(), config, label)
+        require_frames(window, given, config, label)
     except InputError as error:
         return given, window, str(error)
     return given, window, ""

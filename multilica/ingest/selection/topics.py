@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
+from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, listed
 from multilica.ingest.message_types import is_cloud, is_packets, obstacle
 from multilica.ingest.recording import Recording, Topic, normal_type
@@ -48,6 +49,12 @@ def choose_topics(
     for pattern in only:
         chosen |= {name: clouds[name].lidar for name in _matching(pattern, clouds, label)}
     return chosen | _named(asked_for, clouds, label)
+
+
+def named_topics(given: Mapping[str, str], config: IngestConfig) -> set[str]:
+    """Return the chosen topics that the configuration names, or gives a name: no patterns for several."""
+    asked_for = {*config.only, *config.topics.values()}
+    return {topic for topic, name in given.items() if topic in asked_for or name in config.topics}
 
 
 def unread_notes(recording: Recording) -> list[str]:

@@ -19,6 +19,7 @@ from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
+from multilica.ingest.selection.topics import named_topics
 from multilica.snapshot import Scan
 
 _MAX_CLOCK_OFFSET_S = 0.5
@@ -91,8 +92,11 @@ def collect_frames(
     )
 
 
-def require_frames(window: Window, topics: Collection[str], config: IngestConfig, label: str) -> None:
+def require_frames(window: Window, topics: Mapping[str, str], config: IngestConfig, label: str) -> None:
     """Check that there is a frame, and one of every topic that was asked for by name.
+
+    Args:
+        topics: topic -> name of the LiDAR, as chosen.
 
     Raises:
         UnreadableSourceError: all frames are broken, or all of a topic that was asked for by name; with
@@ -103,10 +107,11 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
     if config.strict and window.faults:
         raise UnreadableSourceError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
     has_frames = bool(window.clouds.keys() & set(topics))
+    named = named_topics(topics, config)
     for topic in sorted(topics):
-        if topic in window.broken and (topic in (*config.topics.values(), *config.only) or not has_frames):
+        if topic in window.broken and (topic in named or not has_frames):
             raise UnreadableSourceError(window.broken[topic])
-        if topic not in window.clouds and topic in config.topics.values():
+        if topic not in window.clouds and topic in named - {*config.only}:
             raise UnfitSnapshotError(f"{label} has no scan of '{topic}' after {config.start_s:g} s.")
     if not has_frames:
         raise UnfitSnapshotError(f"{label} has no readable scan after {config.start_s:g} s.")
