@@ -18,7 +18,8 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.ingest.selection.topics import choose_topics, named_topics, unread_notes
+from multilica.ingest.selection.time_range import find_time_range
+from multilica.ingest.selection.topics import choose_topics, cloud_span, named_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_reader import (
     assemble_snapshot,
@@ -27,7 +28,7 @@ from multilica.ingest.snapshot_reader import (
     open_vehicle,
     require_calibratable,
 )
-from multilica.ingest.stops import cloud_span, standstills_of
+from multilica.ingest.stops import standstills_of
 from multilica.ingest.transforms import read_static_transforms
 from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import Snapshot
@@ -134,7 +135,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
         spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
         summary = _summary(snapshot, recording, window, spans, objection)
-        span, still = cloud_span(recording), standstills_of(recording)
+        span, still = cloud_span(recording), standstills_of(recording, given)
         return replace(
             summary,
             source=found.label,
@@ -210,7 +211,7 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
     try:
         given = choose_topics(recording, config.topics, label, config.only)
         topics = {topic.name for topic in recording.topics if is_cloud(topic)} - ({MERGED_TOPIC} - given.keys())
-        window = collect_frames(recording, topics, config, label)
+        window = collect_frames(recording, topics, config, label, find_time_range(recording, config, label, given))
         require_frames(window, given, config, label)
     except InputError as error:
         return given, window, str(error)

@@ -5,17 +5,20 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import closing, suppress
 from fnmatch import fnmatchcase
 
 from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, listed
 from multilica.ingest.message_types import is_cloud, is_packets, obstacle
-from multilica.ingest.recording import Recording, Topic, normal_type
+from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic, normal_type
 from multilica.pointcloud2 import MERGED_TOPIC
 
 _COMMON_WORDS = re.compile(r"lidar|packets?|scans?|raw|ex|points?(cloud)?2?|cloud2?|[/_0-9]")
 """Parts of topic names that tell what is sent rather than by which LiDAR."""
+_LONGEST_LOG_NS = 24 * 3600 * 10**9
+"""In longer ones, a gap of most of the time is a clock that was set."""
 
 
 def choose_topics(
@@ -55,6 +58,43 @@ def named_topics(given: Mapping[str, str], config: IngestConfig) -> set[str]:
     """Return the chosen topics that the configuration names, or gives a name: no patterns for several."""
     asked_for = {*config.only, *config.topics.values()}
     return {topic for topic, name in given.items() if topic in asked_for or name in config.topics}
+
+
+class ChosenRecording(Recording):
+    """A recording as if no clouds but those on the chosen topics had been recorded, nor latched ones, as of a map."""
+
+    def __init__(self, recording: Recording, topics: Collection[str]) -> None:
+        self._recording = recording
+        self.format, self.damage, self.is_indexed = recording.format, recording.damage, recording.is_indexed
+        chosen = [topic for topic in recording.topics if is_cloud(topic) and topic.name in topics]
+        repeated = [topic for topic in chosen if topic.count > 1]
+        self.topics = (*(repeated or chosen), *(topic for topic in recording.topics if not is_cloud(topic)))
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return when these topics begin and end; None without messages or without time."""
+        return self._recording.span_ns(topics)
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield the messages on these topics, as the whole recording."""
+        return self._recording.messages(topics, start_ns)
+
+
+def cloud_span(recording: Recording) -> Span | None:
+    """Return the log times of the first and the last cloud, without those before the clock was set; None without time.
+
+    Clocks without a battery begin in 1970 or when their system was built.
+    """
+    topics = {topic.name for topic in recording.topics if is_cloud(topic)}
+    span = recording.span_ns(topics)
+    while span is not None and span[1] - span[0] > _LONGEST_LOG_NS:
+        middle_ns = (span[0] + span[1]) // 2
+        with suppress(DamagedRecordingError), closing(recording.messages(topics, middle_ns)) as messages:
+            first = next(messages, None)
+            if first is not None and first.log_time_ns - middle_ns > (span[1] - span[0]) // 4:
+                span = first.log_time_ns, span[1]
+                continue
+        break
+    return span
 
 
 def unread_notes(recording: Recording) -> list[str]:

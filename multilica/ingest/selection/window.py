@@ -62,7 +62,7 @@ def collect_frames(
         UnfitSnapshotError: the recording ends before the window begins.
         UnreadableSourceError: it is damaged before the first frame.
     """
-    times = times or find_time_range(recording, config, label)
+    times = times or find_time_range(recording, config, label, topics)
     counts: Counter[str] = Counter()
     for topic in filter(is_cloud, recording.topics):
         counts[topic.name] += topic.count

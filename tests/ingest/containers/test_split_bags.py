@@ -87,7 +87,9 @@ def test_what_lies_behind_a_damaged_part_is_used(tmp_path: Path) -> None:
     assert snapshot.notes[0].startswith("'/lidar_0/points' has lost scans in 1 place: ")
 
 
-@pytest.mark.parametrize(("first", "error"), [(0, "2 recordings of the same time"), (1, "give one of them by its name")])
+@pytest.mark.parametrize(
+    ("first", "error"), [(0, "2 recordings of the same time"), (1, "give one of them by its name")]
+)
 def test_a_folder_of_recorders_is_no_split_bag(tmp_path: Path, first: int, error: str) -> None:
     (tmp_path / "log").mkdir()
     paths = [tmp_path / "log" / f"lidar_{number}.mcap" for number in (first, first + 1)]
