@@ -150,9 +150,10 @@ def _unpack(path: Path, target: Path, where: str) -> None:
     """Unpack a file; if it ends too early, unpack what it holds."""
     allowed = min(max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size), shutil.disk_usage(target.parent).free // 2)
     with path.open("rb") as file, target.open("wb") as unpacked:
-        blocks = zstandard.ZstdDecompressor().read_to_iter(file, write_size=1 << 20)
+        # Parallel writers and `cat` make several frames, some without data.
+        stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         try:
-            for block in blocks:
+            while block := stream.read(1 << 20):
                 if unpacked.tell() + len(block) > allowed:
                     raise DamagedRecordingError(
                         where, f"it unpacks to more than {allowed} bytes; unpack it with `zstd -d` if that is right"

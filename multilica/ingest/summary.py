@@ -46,7 +46,7 @@ class CloudTopicSummary:
         frames: scans in the recording.
         frames_taken: scans that a calibration would use.
         rate_hz: mean over the recording; None below two scans, or without time.
-        points_min, points_median, points_max: finite points per scan, over the scans of the window.
+        points_min, points_median, points_max: finite points per scan of the window, without zeros of lost beams.
         range_median_m, range_max_m: distance of finite points from the sensor; None without any.
         first_ns, last_ns: log times of the first and the last scan; None without time.
     """
@@ -220,8 +220,9 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
 
 def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, snapshot: Snapshot) -> CloudTopicSummary:
     lidar = next((lidar.name for lidar in snapshot.lidars if lidar.topic == topic.name), "")
-    counts = [len(frame.scan.points_m) for frame in frames] or [0]
     ranges_m = [np.linalg.norm(frame.scan.points_m.astype(np.float64), axis=1) for frame in frames]
+    ranges_m = [each_m[each_m > 0.0] for each_m in ranges_m]
+    counts = [len(each_m) for each_m in ranges_m] or [0]
     joined_m = np.concatenate([*ranges_m, np.empty(0)])
     first_ns, last_ns = span or (None, None)
     rate_hz = None
