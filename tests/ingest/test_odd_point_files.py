@@ -65,3 +65,12 @@ def test_zeros_of_lost_beams_hide_nothing(tmp_path: Path) -> None:
     (cloud,) = inspect_source(tmp_path / "a.mcap").clouds
     assert cloud.points_median == 400
     assert cloud.range_median_m == pytest.approx(np.median(np.linalg.norm(far.points_m, axis=1)))
+
+
+@pytest.mark.parametrize(("viewpoint", "is_told"), [("0 0 0 1 0 0 0", False), ("1 2 3 1 0 0 0", True)])
+def test_a_viewpoint_is_told(tmp_path: Path, viewpoint: str, *, is_told: bool) -> None:
+    fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+    (tmp_path / "a.pcd").write_text(f"{fields}VIEWPOINT {viewpoint}\nPOINTS 1\nDATA ascii\n1 2 3\n")
+    snapshot = read_snapshot(tmp_path / "a.pcd")
+    assert snapshot.lidars[0].points_m.tolist() == [[1.0, 2.0, 3.0]]
+    assert any("VIEWPOINT" in note for note in snapshot.notes) == is_told
