@@ -38,7 +38,7 @@ from multilica.ingest.selection import standstill
 from multilica.run import run_calibration
 from multilica.simulate import SimulatedDrive, simulate_drive
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
-from multilica.snapshot import LidarScans, Scan, Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.drive_logs import small_rig
 from tests.ingest.support.processes import served
 
@@ -48,7 +48,6 @@ STAND_FRAMES = 25
 SLOW_NS = 200_000_000
 """In which the vehicle goes millimetres when it sets out or arrives."""
 FEW = IngestConfig(frames=3)
-NO_ATTRIBUTES = {"intensity": None, "rings": None, "times_ns": None}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -182,36 +181,6 @@ def test_a_drive_with_one_standstill_is_read_as_one_and_told(drive: SimulatedDri
     assert found.notes[:-1] == usual.notes
     assert found.notes[-1].startswith("The vehicle drives in this log, and fewer than two stops")
     assert [lidar.scans[0].stamp_ns for lidar in found.lidars] == [lidar.scans[0].stamp_ns for lidar in usual.lidars]
-
-
-@pytest.mark.parametrize("count", [1, 30])
-def test_a_map_that_is_not_chosen_hides_no_drive(drive: SimulatedDrive, tmp_path: Path, count: int) -> None:
-    """A larger cloud that never changes, once or again and again."""
-    first = drive.log.lidars[0]
-    scan = first.scans[0]
-    points_m = np.tile(scan.points_m, (3, 1))
-    times = [first.scans[len(first.scans) * number // count].stamp_ns + 1 for number in range(count)]
-    scans = tuple(replace(scan, points_m=points_m, stamp_ns=time_ns, **NO_ATTRIBUTES) for time_ns in times)
-    unchanging = LidarScans("map", scans, "map", "/map")
-    write_ros2_mcap(replace(drive.log, lidars=(*drive.log.lidars, unchanging)), tmp_path / "a.mcap")
-    config = FEW.model_copy(update={"only": tuple(lidar.topic for lidar in drive.log.lidars)})
-    assert len(stops_of_log([tmp_path / "a.mcap"], "auto", config=config)) == 3
-    assert "/map" not in inspect_source(tmp_path / "a.mcap", config=config).standstill_evidence
-
-
-def test_a_clock_that_is_set_in_a_log_hides_no_drive(drive: SimulatedDrive, tmp_path: Path) -> None:
-    """The first two frames are logged in 1970."""
-    lidars = tuple(
-        replace(lidar, scans=tuple(_set_back(scan, is_early=number < 2) for number, scan in enumerate(lidar.scans)))
-        for lidar in drive.log.lidars
-    )
-    write_ros2_mcap(replace(drive.log, lidars=lidars), tmp_path / "a.mcap")
-    assert len(stops_of_log([tmp_path / "a.mcap"], "auto", config=FEW)) == 3
-
-
-def _set_back(scan: Scan, *, is_early: bool) -> Scan:
-    time_ns = scan.stamp_ns % 10**11 if is_early else scan.stamp_ns
-    return replace(scan, stamp_ns=time_ns, log_time_ns=time_ns)
 
 
 @pytest.mark.in_turn
