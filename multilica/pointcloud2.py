@@ -27,7 +27,7 @@ Column = npt.NDArray[Any]
 _COORDINATES = ("x", "y", "z")
 _INTENSITY = "intensity"
 _RING = "ring"
-_RING_NAMES = (_RING, "channel", "line", "laser_id")
+RING_NAMES = (_RING, "channel", "line", "laser_id")
 """Names of drivers for the number of a point's laser; the first that a cloud has is read."""
 _TIME = "time"
 _TIME_NAMES = ("t", _TIME, "timestamp", "time_stamp", "offset_time")
@@ -134,7 +134,7 @@ def read_fields(fields: tuple[PointField, ...], point_step: int, *, timed: bool 
     if len({found[name].offset for name in _COORDINATES}) < len(_COORDINATES):
         raise ValueError("has two coordinates at the same bytes of each point")
     chosen = {name: found[name] for name in _COORDINATES}
-    of_names = {_INTENSITY: (_INTENSITY,), _RING: _RING_NAMES, **({_TIME: _TIME_NAMES} if timed else {})}
+    of_names = {_INTENSITY: (_INTENSITY,), _RING: RING_NAMES, **({_TIME: _TIME_NAMES} if timed else {})}
     for key, names in of_names.items():
         known = [found[name] for name in names if name in found and _is_inside(found[name], point_step)]
         chosen |= dict(zip((key,), known, strict=False))

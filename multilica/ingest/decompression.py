@@ -16,6 +16,8 @@ MAX_RECORDS = 1 << 20
 UNCOMPRESSED = ("", "none")
 """Names of compressions that mean none."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD_SKIPPED = tuple(bytes([0x50 + number]) + b"\x2a\x4d\x18" for number in range(16))
+"""First bytes of frames without data, as `pzstd` writes them."""
 
 
 def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: bool = False) -> memoryview:

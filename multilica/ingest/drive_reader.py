@@ -21,14 +21,19 @@ from multilica.ingest.recording import ProgressObserver, Recording, Span
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.sampling import sampled
 from multilica.ingest.selection.standstill import has_single_frames, richest_topics, untold
+from multilica.ingest.selection.topics import ChosenRecording, choose_topics, cloud_span
 from multilica.ingest.snapshot_reader import read_snapshot
 from multilica.ingest.snapshot_sources import find_snapshots
-from multilica.ingest.stops import MOST_STOPS, Stop, cloud_span, read_stops, search_log
+from multilica.ingest.stops import MOST_STOPS, Stop, read_stops, search_log
 from multilica.ingest.ways import read_motions
 from multilica.snapshot import Scan, Snapshot
 
 _LEAST_DRIVE_NS = 4 * 10**9
 """Two standstills of a second each and the way between them take longer."""
+_NO_STOPS = (
+    "The vehicle drives in this log, and fewer than two stops of a second were found: only the first frames are "
+    "used; choose others with --start or --stops."
+)
 _LOOKS = 4
 _LAST_NS = 10**9
 """Before the end of a log, so that each LiDAR still sends a frame."""
@@ -51,7 +56,7 @@ def stops_of_log(
 
     Returns:
         None of them if the log is read as one snapshot. So it is with "auto" if the configuration chooses its frames,
-        if it has no index, or unless it has several stops.
+        if it has no index, or unless it has several stops. A log that drives without them is one stop without times.
 
     Raises:
         MultilicaError: as `find_stops`, for a number of stops.
@@ -63,13 +68,14 @@ def stops_of_log(
     if config is not None and (config.start_at or config.start_s or config.window_s or config.window == "auto"):
         return ()
     stops: tuple[Stop, ...] = ()
-    try:
+    drives = False
+    # Reading the snapshot tells what is wrong with the source.
+    with suppress(InputError):
         recorded = len(stops_recorded(find_source(paths).files))
-        if recorded > 1 or _drives(paths, config):
+        drives = _drives(paths, config)
+        if recorded > 1 or drives:
             stops = search_log(paths, config, max(recorded, MOST_STOPS), observe)
-    except InputError:
-        return ()  # reading the snapshot tells what is wrong with the source
-    return stops if len(stops) > 1 else ()
+    return stops if len(stops) > 1 else (Stop(tuple(paths), _NO_STOPS),) if drives else ()
 
 
 def read_drive(
@@ -115,7 +121,7 @@ def read_log(
                 raise
             kept.pop()
     snapshots = [
-        replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
+        replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times or stop.why == _NO_STOPS else snapshot
         for snapshot, stop in zip(read, kept, strict=True)
     ]
     snapshots = _with_ways(snapshots, kept, config)
@@ -148,10 +154,11 @@ def _drives(paths: Sequence[SourceFile], config: IngestConfig | None) -> bool:
         return False
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
-        span = cloud_span(recording) if recording.is_indexed else None
-        if span is None or span[1] - span[0] < _LEAST_DRIVE_NS or has_single_frames(recording):
+        chosen = ChosenRecording(recording, choose_topics(recording, config.topics, found.label, config.only))
+        span = cloud_span(chosen) if recording.is_indexed else None
+        if span is None or span[1] - span[0] < _LEAST_DRIVE_NS or has_single_frames(chosen):
             return False
-        return any(leaves_its_place(_spread(recording, topic, span)) for topic in richest_topics(recording, span)[:1])
+        return any(leaves_its_place(_spread(chosen, topic, span)) for topic in richest_topics(chosen, span)[:1])
 
 
 def _spread(recording: Recording, topic: str, span: Span) -> Iterator[Scan]:

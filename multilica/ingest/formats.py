@@ -9,7 +9,7 @@ from typing import Literal
 
 from multilica.documents import LFS_POINTER
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.decompression import ZSTD_MAGIC
+from multilica.ingest.decompression import ZSTD_MAGIC, ZSTD_SKIPPED
 from multilica.ingest.remote.remote_file import SourceFile
 
 HEAD_BYTES = 1024
@@ -75,7 +75,7 @@ FORMATS = {
         FileFormat(
             "ros1", "a ROS 1 bag", (".bag", ".bag.active"), "recording", "containers.ros1_bag", (b"#ROSBAG V2.0",)
         ),
-        FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), "compressed", "", (ZSTD_MAGIC,)),
+        FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), "compressed", "", (ZSTD_MAGIC, *ZSTD_SKIPPED)),
         FileFormat("ply", "a PLY file", (".ply",), "cloud", "point_files.tables", (b"ply\n", b"ply\r")),
         FileFormat("las", "a LAS file", (".las", ".laz"), "cloud", "point_files.las", (b"LASF",)),
         FileFormat("npy", "a NumPy file", (".npy",), "cloud", "point_files.raw_arrays", (b"\x93NUMPY",)),

@@ -44,6 +44,7 @@ class Source:
         frames: the point files of each LiDAR.
         recorders: bags of the same moment with different LiDARs.
         missing: files of the bag that do not exist.
+        is_listed: False if nothing but their names says that the files are of one bag.
     """
 
     label: str
@@ -51,6 +52,7 @@ class Source:
     frames: tuple[FrameFiles, ...] = ()
     recorders: tuple[Source, ...] = ()
     missing: tuple[str, ...] = ()
+    is_listed: bool = True
 
     @property
     def files(self) -> tuple[SourceFile, ...]:
@@ -205,7 +207,9 @@ def _folder(folder: SourceFile) -> Source:
             f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them by its name, "
             "or several of them if each holds another LiDAR."
         )
-    return Source(str(folder), tuple(recordings), tuple(frames), missing=_missing_parts(folder, recordings))
+    is_listed = len(recordings) < 2 or (folder / _METADATA).exists()
+    missing = _missing_parts(folder, recordings)
+    return Source(str(folder), tuple(recordings), tuple(frames), missing=missing, is_listed=is_listed)
 
 
 def _frames(entries: list[SourceFile]) -> list[FrameFiles]:
@@ -248,8 +252,9 @@ def _are_one_bag(folder: SourceFile, recordings: Sequence[SourceFile]) -> bool:
         return False
     # The parts of a split bag are NAME_0.db3, NAME_1.db3, ... If the recorder dies, metadata.yaml is missing, and the
     # last part is not compressed yet where the others are (NAME_0.db3.zstd).
-    stems = {re.sub(r"_\d+$", "", Path(name_unpacked(path.name)).stem) for path in recordings}
-    return (folder / _METADATA).exists() or len(stems) == 1
+    stems = [Path(name_unpacked(path.name)).stem for path in recordings]
+    is_split = len({re.sub(r"_\d+$", "", stem) for stem in stems}) == 1 and any(stem.endswith("_0") for stem in stems)
+    return is_split or (folder / _METADATA).exists()
 
 
 def _missing_parts(folder: SourceFile, recordings: Sequence[SourceFile]) -> tuple[str, ...]:

@@ -123,11 +123,13 @@ class Cloud:
     Args:
         frame_id: without slashes at its ends; empty if the format has none.
         remark: what the user should know about the topic, as a predicate; empty for nothing.
+        device: which LiDAR sent it, where the message says so and several may share a topic; empty elsewhere.
     """
 
     scan: Scan
     frame_id: str = ""
     remark: str = ""
+    device: str = ""
 
 
 def is_cloud(of: Topic | RawMessage) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
-from itertools import islice, zip_longest
+from itertools import combinations, islice, zip_longest
 from pathlib import Path
 from typing import cast
 
@@ -53,7 +53,7 @@ def open_source(source: Source) -> Recording:
         return _open_recorders(source.recorders)
     files = source.recordings
     is_whole_file = len(files) == 1 and not source.missing
-    recording = _open_file(files[0]) if is_whole_file else _open_parts(files, source.missing)
+    recording = _open_file(files[0]) if is_whole_file else _open_parts(source)
     types = {name for name, entry in MESSAGE_TYPES.items() if entry.requires == OUSTER}
     packets = [topic for topic in recording.topics if topic.message_type in types and topic.count]
     if not packets or not is_installed(OUSTER):
@@ -99,7 +99,8 @@ def _open_recorders(sources: tuple[Source, ...]) -> Recording:
         return _CombinedRecording(title, recordings, sorted_topics, opened.pop_all(), names=names)
 
 
-def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Recording:
+def _open_parts(source: Source) -> Recording:
+    files, missing = source.recordings, source.missing
     parts: list[Recording] = []
     errors: list[UnreadableSourceError] = []
     for file in files:
@@ -117,7 +118,20 @@ def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Reco
     with ExitStack() as opened:
         for part in parts:
             opened.enter_context(closing(part))
+        if not source.is_listed:
+            _require_in_turn(source.label, parts)
         return _CombinedRecording(title, parts, topics, opened.pop_all(), damage)
+
+
+def _require_in_turn(label: str, parts: Sequence[Recording]) -> None:
+    """Raise UsageError if two parts were recorded side by side: a bag is split where one part ends."""
+    spans = [part.span_ns([topic.name for topic in part.topics]) for part in parts]
+    for one, other in combinations(filter(None, spans), 2):
+        if 2 * (min(one[1], other[1]) - max(one[0], other[0])) > min(one[1] - one[0], other[1] - other[0]):
+            raise UsageError(
+                f"{label} holds {len(parts)} recordings of the same time, which are no parts of one bag; give them one "
+                "by one if each holds another LiDAR, else one of them."
+            )
 
 
 def _open_packed(path: Path, where: str) -> Recording:
@@ -136,9 +150,10 @@ def _unpack(path: Path, target: Path, where: str) -> None:
     """Unpack a file; if it ends too early, unpack what it holds."""
     allowed = min(max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size), shutil.disk_usage(target.parent).free // 2)
     with path.open("rb") as file, target.open("wb") as unpacked:
-        blocks = zstandard.ZstdDecompressor().read_to_iter(file, write_size=1 << 20)
+        # Parallel writers and `cat` make several frames, some without data.
+        stream = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
         try:
-            for block in blocks:
+            while block := stream.read(1 << 20):
                 if unpacked.tell() + len(block) > allowed:
                     raise DamagedRecordingError(
                         where, f"it unpacks to more than {allowed} bytes; unpack it with `zstd -d` if that is right"

@@ -57,8 +57,9 @@ def plausibility_notes(lidars: Sequence[LidarScans], static_transforms: Sequence
 
 
 def _sample(lidar: LidarScans) -> FloatArray:
-    """Return up to `_MAX_POINTS` points (N, 3) of the first frame that has any."""
+    """Return up to `_MAX_POINTS` points (N, 3) of the first frame that has any, without zeros of lost beams."""
     points_m = next((scan.points_m for scan in lidar.scans if len(scan.points_m)), np.empty((0, 3), np.float32))
+    points_m = points_m[points_m.any(axis=1)]
     return points_m[:: max(1, len(points_m) // _MAX_POINTS)].astype(np.float64)
 
 
@@ -88,7 +89,7 @@ def _extent_note(points_m: FloatArray) -> str:
     median_m = float(np.median(lengths(points_m)))
     if median_m <= _MAX_MEDIAN_M:
         return ""
-    unit = "millimetres" if median_m / _MM_PER_M < _MAX_MEDIAN_M else "another unit"
+    unit = "millimetres or centimetres" if median_m / _MM_PER_M < _MAX_MEDIAN_M else "another unit"
     return f"are at a median range of {median_m:.0f} m, farther than LiDARs see: they may be in {unit}; expected metres"
 
 

@@ -3,7 +3,7 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
@@ -20,6 +20,8 @@ from multilica.ingest.locate import (
     without_folders,
 )
 from multilica.ingest.memory import limited_memory
+from multilica.ingest.merged_clouds import may_be_merged, merged_topics
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.plausibility import plausibility_notes
@@ -27,7 +29,8 @@ from multilica.ingest.recording import MessageObserver, ProgressObserver, saniti
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.selection.standstill import untold
 from multilica.ingest.selection.time_range import TimeRange
-from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
+from multilica.ingest.selection.topics import choose_topics, named_topics, unread_notes
+from multilica.ingest.selection.window import Window, collect_frames, require_frames, require_separate
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
 from multilica.ros2 import Ros2Node
 from multilica.snapshot import LidarScans, Snapshot
@@ -100,7 +103,7 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
     Raises:
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, broken, or not what its name says.
-        UnfitSnapshotError: there are no point clouds, or none in the window.
+        UnfitSnapshotError: there are no point clouds, or none in the window, or a topic holds those of several LiDARs.
         MemoryLimitError: reading takes more than `config.max_memory_mb`.
         UnknownNameError: there is no point cloud topic of that name.
         UsageError: several recordings or folders of the same LiDARs, or a topic with two names.
@@ -139,8 +142,10 @@ def read_ranges(
         )
         for times in ranges:
             window = collect_frames(recording, given.keys(), config, found.label, times)
-            require_frames(window, given.keys(), config, found.label)
-            snapshot = assemble_snapshot(found.label, given, window, static, sha256, unread)
+            require_frames(window, given, config, found.label)
+            snapshot = assemble_snapshot(
+                found.label, given, window, static, sha256, unread, named_topics(given, config)
+            )
             noted = with_recorded_notes(snapshot, recording, found.files)
             notes = without_folders(without_folders(noted.notes, found.files), paths)
             end_s = time.perf_counter()
@@ -172,7 +177,8 @@ def listen(
 
     Raises:
         UnreadableSourceError: nothing answers there.
-        UnfitSnapshotError: there are no point clouds, or no LiDAR sends any; with `config.strict`, any fault.
+        UnfitSnapshotError: there are no point clouds, or no LiDAR sends any, or several send on one topic; with
+            `config.strict`, any fault.
         UnknownNameError: a topic is not offered in time.
         UsageError: a window is configured, or the address is not valid.
     """
@@ -189,12 +195,14 @@ def listen(
         window = collect_frames(recording, given.keys(), config, label)
         if not window.clouds:
             raise UnfitSnapshotError(nothing_sent(label, given, config))
+        require_separate(window, given)
         if config.strict and window.faults:
             raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
         static = read_static_transforms(recording)
         unread = [*unread_notes(recording), *recording.notes]
     silent = tuple(sorted(given.keys() - window.clouds.keys()))
-    return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
+    snapshot = assemble_snapshot(label, given, window, static, notes=unread, chosen=named_topics(given, config))
+    return TakenSnapshot(snapshot, silent=silent)
 
 
 def nothing_sent(label: str, topics: Iterable[str], config: IngestConfig) -> str:
@@ -240,13 +248,19 @@ def assemble_snapshot(
     static: StaticTransforms = ((), ()),
     sha256: str = "",
     notes: Sequence[str] = (),
+    chosen: Collection[str] = (),
 ) -> Snapshot:
     """Name the LiDARs of a window: by the given name, else the frame id, else the topic.
 
+    Clouds that were joined from those of several LiDARs are left out.
+
     Args:
         given: topic -> name, or empty; other topics of the window are left out.
+        chosen: topics that are used even if their clouds were joined.
     """
-    clouds = {topic: frames for topic, frames in window.clouds.items() if topic in given}
+    clouds, merged_notes = _without_merged(
+        {topic: frames for topic, frames in window.clouds.items() if topic in given}, chosen
+    )
     frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
     topics_of: dict[str, list[str]] = defaultdict(list)
     for topic, frame_id in sorted(frame_ids.items()):
@@ -273,8 +287,26 @@ def assemble_snapshot(
         source=sanitize_text(label),
         source_sha256=sha256,
         static_transforms=static[0],
-        notes=tuple(map(sanitize_text, (*window.notes, *static[1], *frame_notes, *doubts, *notes))),
+        notes=tuple(map(sanitize_text, (*window.notes, *static[1], *merged_notes, *frame_notes, *doubts, *notes))),
     )
+
+
+def _without_merged(
+    clouds: dict[str, tuple[Cloud, ...]], chosen: Collection[str]
+) -> tuple[dict[str, tuple[Cloud, ...]], list[str]]:
+    """Return the clouds without those that were joined, and notes on these."""
+    merged = merged_topics(clouds)
+    notes: list[str] = []
+    for topic in sorted(clouds):
+        if topic in merged:
+            use = "its pose will be of these" if topic in chosen else "it is left out; choose it with --topic to use it"
+            notes.append(f"'{topic}' holds the points of {listed(merged[topic])}, moved by known poses: {use}.")
+        elif may_be_merged(topic) and topic not in chosen and len(clouds) > 1:
+            notes.append(
+                f"'{topic}' is named like clouds joined from several LiDARs; leave it out with --topic if it is one: "
+                "its pose would be that it was joined by."
+            )
+    return {topic: frames for topic, frames in clouds.items() if topic not in merged or topic in chosen}, notes
 
 
 def _unique_names(wanted: Mapping[str, str]) -> dict[str, str]:

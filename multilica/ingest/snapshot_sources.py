@@ -13,7 +13,8 @@ from multilica.ingest.locate import PathLike, are_stops, find_source, locate, re
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
-from multilica.ingest.selection.window import choose_topics, collect_frames
+from multilica.ingest.selection.topics import choose_topics, named_topics
+from multilica.ingest.selection.window import collect_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot
 
 
@@ -86,7 +87,7 @@ def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
             window = collect_frames(recording, given.keys(), first, found.label)
         except UnfitSnapshotError:
             return ()
-        return assemble_snapshot(found.label, given, window).names
+        return assemble_snapshot(found.label, given, window, chosen=named_topics(given, config)).names
 
 
 def _require_different(paths: Sequence[SourceFile]) -> None:

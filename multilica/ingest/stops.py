@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -17,7 +17,7 @@ from multilica.errors import InputError, UnreadableSourceError, UsageError
 from multilica.geometry import LEVER_ARM_M, lengths
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
-from multilica.ingest.message_types import decode_cloud, is_cloud
+from multilica.ingest.message_types import decode_cloud
 from multilica.ingest.metadata import config_for, stops_recorded
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, ProgressObserver, Recording, Span
@@ -31,6 +31,7 @@ from multilica.ingest.selection.standstill import (
     untold,
 )
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
+from multilica.ingest.selection.topics import ChosenRecording, choose_topics, cloud_span
 from multilica.ingest.snapshot_reader import read_ranges
 from multilica.ingest.snapshot_sources import find_snapshots
 from multilica.snapshot import Scan, Snapshot
@@ -104,17 +105,18 @@ def search_log(
     found = find_source(paths)
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
-        span = cloud_span(recording)
-        if span is None or has_single_frames(recording):
+        chosen_topics = choose_topics(recording, config.topics, found.label, config.only)
+        span, lidars = cloud_span(recording), ChosenRecording(recording, chosen_topics)
+        if span is None or has_single_frames(lidars):
             why = "It has no time." if span is None else "There is one frame per LiDAR, so no standstill to choose."
             return (Stop(tuple(paths), why),)
         start_ns = start_of(span, config, found.label)
         recorded = tuple(each for each in stops_recorded(found.files) if each[0] >= start_ns)
         if recorded and most >= len(recorded):
             return tuple(_recorded_stop(tuple(paths), each, span, config) for each in recorded)
-        standstills = find_standstills(recording, (start_ns, span[1]), observe)
+        standstills = find_standstills(lidars, (start_ns, span[1]), observe)
         require_standstill(standstills, found.label)
-        chosen = _choose(recording, standstills, most)
+        chosen = _choose(lidars, standstills, most)
     return tuple(_stop(tuple(paths), each, why, span, config, standstills.evidence) for each, why in chosen)
 
 
@@ -141,20 +143,15 @@ def read_stops(
     return tuple(snapshots)
 
 
-def standstills_of(recording: Recording) -> Standstills | None:
-    """Return the standstills of a log; None if it has no time, too little of it, or nothing shows any."""
-    span = cloud_span(recording)
-    if span is None or span[1] - span[0] < 2 * _NS_PER_S or has_single_frames(recording):
+def standstills_of(recording: Recording, topics: Collection[str]) -> Standstills | None:
+    """Return the standstills of a log, by clouds on the topics; None if it has too little time, or nothing tells."""
+    span, chosen = cloud_span(recording), ChosenRecording(recording, topics)
+    if span is None or span[1] - span[0] < 2 * _NS_PER_S or has_single_frames(chosen):
         return None
     try:
-        return find_standstills(recording, span)
+        return find_standstills(chosen, span)
     except InputError:
         return None
-
-
-def cloud_span(recording: Recording) -> Span | None:
-    """Return the log times of the first and the last cloud; None without time."""
-    return recording.span_ns({topic.name for topic in recording.topics if is_cloud(topic)})
 
 
 def _stop(paths: tuple[SourceFile, ...], at: Span, why: str, span: Span, config: IngestConfig, evidence: str) -> Stop:

@@ -18,7 +18,9 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
+from multilica.ingest.selection.time_range import find_time_range
+from multilica.ingest.selection.topics import choose_topics, cloud_span, named_topics, unread_notes
+from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_reader import (
     assemble_snapshot,
     live_address,
@@ -26,7 +28,7 @@ from multilica.ingest.snapshot_reader import (
     open_vehicle,
     require_calibratable,
 )
-from multilica.ingest.stops import cloud_span, standstills_of
+from multilica.ingest.stops import standstills_of
 from multilica.ingest.transforms import read_static_transforms
 from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import Snapshot
@@ -44,7 +46,7 @@ class CloudTopicSummary:
         frames: scans in the recording.
         frames_taken: scans that a calibration would use.
         rate_hz: mean over the recording; None below two scans, or without time.
-        points_min, points_median, points_max: finite points per scan, over the scans of the window.
+        points_min, points_median, points_max: finite points per scan of the window, without zeros of lost beams.
         range_median_m, range_max_m: distance of finite points from the sensor; None without any.
         first_ns, last_ns: log times of the first and the last scan; None without time.
     """
@@ -127,12 +129,13 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
-        snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
+        notes, chosen = unread_notes(recording), named_topics(given, config)
+        snapshot = assemble_snapshot(found.label, given, window, static, notes=notes, chosen=chosen)
         snapshot = with_recorded_notes(snapshot, recording, found.files)
         snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
         spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
         summary = _summary(snapshot, recording, window, spans, objection)
-        span, still = cloud_span(recording), standstills_of(recording)
+        span, still = cloud_span(recording), standstills_of(recording, given)
         return replace(
             summary,
             source=found.label,
@@ -154,7 +157,7 @@ def _inspect_vehicle(url: str, config: IngestConfig) -> SourceSummary:
             objection = nothing_sent(label, given, config)
         static = read_static_transforms(recording)
         notes = [*unread_notes(recording), *recording.notes]
-        snapshot = assemble_snapshot(label, given, window, static, notes=notes)
+        snapshot = assemble_snapshot(label, given, window, static, notes=notes, chosen=named_topics(given, config))
         taken = {topic: [frame.scan.log_time_ns for frame in frames] for topic, frames in window.clouds.items()}
         recording.topics = tuple(replace(topic, count=len(taken.get(topic.name, ()))) for topic in recording.topics)
         spans = {topic: (min(times), max(times)) for topic, times in taken.items()}
@@ -208,8 +211,8 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
     try:
         given = choose_topics(recording, config.topics, label, config.only)
         topics = {topic.name for topic in recording.topics if is_cloud(topic)} - ({MERGED_TOPIC} - given.keys())
-        window = collect_frames(recording, topics, config, label)
-        require_frames(window, given.keys(), config, label)
+        window = collect_frames(recording, topics, config, label, find_time_range(recording, config, label, given))
+        require_frames(window, given, config, label)
     except InputError as error:
         return given, window, str(error)
     return given, window, ""
@@ -217,8 +220,9 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
 
 def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, snapshot: Snapshot) -> CloudTopicSummary:
     lidar = next((lidar.name for lidar in snapshot.lidars if lidar.topic == topic.name), "")
-    counts = [len(frame.scan.points_m) for frame in frames] or [0]
     ranges_m = [np.linalg.norm(frame.scan.points_m.astype(np.float64), axis=1) for frame in frames]
+    ranges_m = [each_m[each_m > 0.0] for each_m in ranges_m]
+    counts = [len(each_m) for each_m in ranges_m] or [0]
     joined_m = np.concatenate([*ranges_m, np.empty(0)])
     first_ns, last_ns = span or (None, None)
     rate_hz = None

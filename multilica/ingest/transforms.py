@@ -188,6 +188,14 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
                     break
     except DamagedRecordingError as error:
         notes[f"'{topics[0]}' was only read in part: {error.reason}."] = None
+    parents: dict[str, list[str]] = defaultdict(list)
+    for parent, child in sorted(found):
+        parents[child].append(parent)
+    notes |= {
+        f"'{topics[0]}' gives '{child}' the parents {', '.join(several)}; expected one: remove the others.": None
+        for child, several in parents.items()
+        if len(several) > 1
+    }
     return tuple(found[key] for key in sorted(found)), tuple(notes)
 
 

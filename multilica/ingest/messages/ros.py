@@ -34,8 +34,9 @@ def decode_cloud(message: RawMessage) -> Cloud:
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
     if message.message_type.endswith("/CustomMsg"):
-        timebase_ns, points = _livox_points(reader, timed=message.timed)
-        return Cloud(points.as_scan(stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns), frame_id)
+        timebase_ns, lidar_id, points = _livox_points(reader, timed=message.timed)
+        scan = points.as_scan(stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns)
+        return Cloud(scan, frame_id, device=f"lidar_id {lidar_id}")
     reader.align(4)
     height, width = reader.numbers("II")
     count = reader.uint32()
@@ -50,11 +51,12 @@ def decode_cloud(message: RawMessage) -> Cloud:
     return Cloud(scan, frame_id)
 
 
-def _livox_points(reader: WireReader, *, timed: bool) -> tuple[int, Points]:
-    """Read the time base in nanoseconds, then the points."""
+def _livox_points(reader: WireReader, *, timed: bool) -> tuple[int, int, Points]:
+    """Read the time base in nanoseconds, the number of the LiDAR, then the points."""
     reader.align(8)
     (timebase_ns,) = reader.numbers("Q")
-    reader.place += 8  # point_num, lidar_id, three reserved bytes
+    _, lidar_id = reader.numbers("IB")
+    reader.place += 3  # reserved
     count = reader.uint32()
     # CDR aligns each point to four bytes, without padding after the last one.
     step = -(-_LIVOX_BYTES // reader.alignment) * reader.alignment
@@ -63,7 +65,7 @@ def _livox_points(reader: WireReader, *, timed: bool) -> tuple[int, Points]:
         raise ValueError(f"claims {count} points, which need {needed} bytes, but holds {reader.remaining}")
     dtype = point_dtype(_LIVOX_FIELDS, _LIVOX_BYTES, big_endian=reader.order == ">", timed=timed)
     points = np.ndarray((count,), dtype, reader.data, reader.place, (step,)) if count else np.empty(0, dtype)
-    return timebase_ns, finite_records(points)
+    return timebase_ns, lidar_id, finite_records(points)
 
 
 def _field(reader: WireReader) -> PointField:

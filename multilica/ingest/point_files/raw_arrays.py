@@ -13,12 +13,15 @@ from multilica.documents import shown
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
-from multilica.pointcloud2 import finite_points
+from multilica.pointcloud2 import RING_NAMES, finite_points
 
 Table: TypeAlias = npt.NDArray[Any]
 
 _COLUMNS = {"kitti": 4, "nuscenes": 5}
 _NAMES = ("x", "y", "z", "intensity", "ring")
+_LAYOUTS = (3, 4, 5, 6)
+_LEAST_ROWS = 200
+_CLOSER = 0.2
 _MAX_SIZE = 1 << 40
 _NEAREST_M, _FARTHEST_M = 1e-6, 1e4
 _PLAUSIBLE_SHARE = 0.9
@@ -40,6 +43,7 @@ def decode_cloud(message: RawMessage) -> Cloud:
 
 def _rows(data: memoryview, columns: int) -> Table:
     row_bytes = 4 * columns
+    _require_layout(data, columns)
     if len(data) % row_bytes:
         raise ValueError(f"has {len(data)} bytes; expected a multiple of {row_bytes}: {columns} float32 per point")
     table = np.frombuffer(data, "<f4").reshape(-1, columns)
@@ -48,6 +52,26 @@ def _rows(data: memoryview, columns: int) -> Table:
     if np.count_nonzero(plausible) < _PLAUSIBLE_SHARE * plausible.size:
         raise ValueError(f"has no coordinates: expected x, y, z in metres among {columns} float32 per point")
     return table
+
+
+def _require_layout(data: memoryview, columns: int) -> None:
+    """Raise ValueError if points in another number of columns are far closer to the next ones.
+
+    Neighbours in a file are mostly neighbours in the scene, unless numbers are taken for coordinates that are none.
+    """
+    numbers = np.frombuffer(data, "<f4", len(data) // 4)
+    steps_m: dict[int, float] = {}
+    for count in _LAYOUTS:
+        xyz_m = numbers[: len(numbers) // count * count].reshape(-1, count)[:, :3]
+        if len(xyz_m) >= _LEAST_ROWS and (count == columns or len(numbers) % count == 0):
+            with np.errstate(all="ignore"):
+                step_m = float(np.nanmedian(np.abs(np.diff(xyz_m, axis=0)).max(axis=1)))
+            steps_m[count] = step_m if np.isfinite(step_m) else np.inf
+    likely = min(steps_m, key=lambda count: (steps_m[count], count), default=columns)
+    if likely != columns and steps_m[likely] < _CLOSER * steps_m.get(columns, 0.0):
+        raise ValueError(
+            f"holds points of {likely} float32; expected {columns} with x, y, z first: save it as PCD or .npy"
+        )
 
 
 def _npy(data: memoryview) -> Table:
@@ -81,8 +105,10 @@ def _columns(table: Table, count: int) -> dict[str, Table]:
             )
         return dict(zip(_NAMES, table.T[:count], strict=False))
     given = [name for name in table.dtype.names if name != "ring" or table.dtype[name].kind in "fiu"]
-    named = [name for name in _NAMES if name in given]
-    kinds = {table.dtype[name].kind for name in named}
+    ring = next((name for name in RING_NAMES if name in given and table.dtype[name].kind in "fiu"), "ring")
+    sources = dict(zip(_NAMES, (*_NAMES[:-1], ring), strict=True))
+    named = [name for name, source in sources.items() if source in given]
+    kinds = {table.dtype[sources[name]].kind for name in named}
     if named[:3] != ["x", "y", "z"] or table.ndim != 1 or not kinds <= set("fiu"):
         raise ValueError(f"holds the fields {', '.join(table.dtype.names)}; expected numbers x, y, z")
-    return {name: table[name] for name in named}
+    return {name: table[sources[name]] for name in named}

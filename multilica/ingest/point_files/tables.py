@@ -6,6 +6,7 @@ files; both allocate whatever a header claims. `plyfile` is under the GPL.
 """
 
 import math
+import re
 import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,6 +39,7 @@ _MAX_LINE_BYTES = 1 << 16
 _MAX_FIELDS = 1024
 _MAX_COUNT = 1 << 16
 _LISTED = 8
+_NO_VIEWPOINT = r"(-?0(\.0*)? ){3}1(\.0*)?( -?0(\.0*)?){3}"
 _MAX_LZF_RATIO = 88
 """LZF's longest match has 264 bytes, stored in 3."""
 _SIZES = struct.Struct("<II")
@@ -68,6 +70,7 @@ class PointTable:
         storage: ``"ascii"``, ``"binary"`` (little endian), ``"big endian"`` or ``"binary_compressed"``.
         start: bytes of the header.
         skipped: rows before the table, and their bytes if they are not text.
+        remark: as of `Cloud`.
     """
 
     fields: tuple[PointField, ...] = ()
@@ -76,6 +79,7 @@ class PointTable:
     storage: str = "binary"
     start: int = 0
     skipped: tuple[int, int] = (0, 0)
+    remark: str = ""
 
     def claimed_bytes(self, head: bytes) -> int:
         """Return the largest size in bytes of a file that begins with `head`, up to the end of the table."""
@@ -143,8 +147,8 @@ def decode_cloud(message: RawMessage) -> Cloud:
     """Decode a PCD file with ascii, binary or binary_compressed data, or the vertices of a PLY file."""
     data = memoryview(message.data)
     require_format(data, FORMATS[message.encoding])
-    points = _HEADERS[message.encoding](bytes(data[:MAX_HEADER_BYTES])).read(data)
-    return Cloud(points.as_scan(message.log_time_ns))
+    table = _HEADERS[message.encoding](bytes(data[:MAX_HEADER_BYTES]))
+    return Cloud(table.read(data).as_scan(message.log_time_ns), remark=table.remark)
 
 
 def claimed_bytes(encoding: str, head: bytes) -> int | None:
@@ -230,7 +234,10 @@ def _pcd_table(entries: Mapping[str, list[str]]) -> PointTable:
         for name, offset, kind, size, count in zip(names, offsets, kinds, sizes, counts, strict=False)
         if count
     )
-    return PointTable(fields, _points(entries), offsets[-1])
+    viewpoint = " ".join(entries.get("VIEWPOINT", []))
+    is_moved = bool(viewpoint) and re.fullmatch(_NO_VIEWPOINT, viewpoint) is None
+    remark = "has a VIEWPOINT in its header; its points are used as they are, and the result is for their own origin"
+    return PointTable(fields, _points(entries), offsets[-1], remark=remark if is_moved else "")
 
 
 def _points(entries: Mapping[str, list[str]]) -> int:

@@ -32,9 +32,10 @@ _MIN_STANDSTILL_NS = 10**9
 
 _Samples: TypeAlias = Sequence[tuple[int, bool | None]]
 """Log times in nanoseconds, and whether the vehicle stands still; None if unknown."""
-_Evidence: TypeAlias = tuple[str, _Samples, int] | None
-"""Name, samples, and the longest time between two of them, in nanoseconds, for which they tell; None if the recording
-has no such topic."""
+_Found: TypeAlias = tuple[str, _Samples, int]
+"""Name, samples, and the longest time between two of them, in nanoseconds, for which they tell."""
+_Evidence: TypeAlias = _Found | None
+"""None if the recording has no such topic."""
 
 _Look: TypeAlias = Callable[[Recording, Span, ProgressObserver], _Evidence]
 
@@ -89,12 +90,7 @@ def find_standstills(recording: Recording, span: Span, observe: ProgressObserver
     Args:
         observe: called with each sample; from the beginning again if other messages are looked at.
     """
-    # The most direct evidence first, if it tells of the whole span.
-    look, (name, samples, gap_ns) = next(
-        (look, found)
-        for look in (_by_odometry, _by_imu, _by_clouds)
-        if (found := look(recording, span, observe)) is not None and (look is _by_clouds or _covers(*found[1:], span))
-    )
+    look, (name, samples, gap_ns) = _best_evidence(recording, span, observe)
     is_whole = all(still for _, still in samples) and _covers(samples, gap_ns, span)
     if is_whole or (not samples and has_single_frames(recording)):
         return Standstills(name, (span,), is_known=bool(samples), is_whole=True)
@@ -103,6 +99,25 @@ def find_standstills(recording: Recording, span: Span, observe: ProgressObserver
     runs += [found for run in lone for found in _around(recording, look, run, span)]
     kept = sorted({run for run in runs if run[1] - run[0] >= _MIN_STANDSTILL_NS})
     return Standstills(name, tuple(kept), is_known=any(still is not None for _, still in samples))
+
+
+def _best_evidence(recording: Recording, span: Span, observe: ProgressObserver) -> tuple[_Look, _Found]:
+    """Return the most direct evidence that tells of the whole span, and shows standstill as well as motion.
+
+    Odometry that always says the same may come from a node without data, or be noisy at rest; if clouds tell
+    nothing, it counts.
+    """
+    second_best: tuple[_Look, _Found] | None = None
+    for look in (_by_odometry, _by_imu):
+        found = look(recording, span, observe)
+        if found is not None and _covers(*found[1:], span):
+            if len({still for _, still in found[1]}) > 1:
+                return look, found
+            second_best = second_best or (look, found)
+    clouds = _by_clouds(recording, span, observe)
+    if second_best is not None and all(still is None for _, still in clouds[1]):
+        return second_best
+    return _by_clouds, clouds
 
 
 def _covers(samples: _Samples, gap_ns: int, span: Span) -> bool:
@@ -169,7 +184,7 @@ def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evi
     return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True)), gap_ns
 
 
-def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
+def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _Found:
     """Compare each sampled cloud of one LiDAR with the next frame and with the next sample.
 
     The LiDAR is the one with the largest clouds that show enough at all times, else at most times. One that is silent

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError
-from multilica.ingest.message_types import is_cloud
 from multilica.ingest.recording import Recording, Span
 from multilica.ingest.selection.standstill import Standstills, find_standstills, has_single_frames
+from multilica.ingest.selection.topics import ChosenRecording, cloud_span
 
 _NS_PER_S = 1_000_000_000
 _MAX_SPREAD_S = 30.0
@@ -33,8 +34,8 @@ class TimeRange:
     notes: tuple[str, ...] = ()
 
 
-def find_time_range(recording: Recording, config: IngestConfig, label: str) -> TimeRange:
-    """Return the configured time range.
+def find_time_range(recording: Recording, config: IngestConfig, label: str, topics: Collection[str]) -> TimeRange:
+    """Return the configured time range; a standstill is found by the clouds on these topics.
 
     Raises:
         ConfigError: a time is not valid, or two beginnings are given.
@@ -44,13 +45,13 @@ def find_time_range(recording: Recording, config: IngestConfig, label: str) -> T
         raise ConfigError("Found both ingest.start_s and ingest.start_at; expected one of them.")
     if not (config.start_at or config.start_s or config.window_s or config.window == "auto"):
         return TimeRange()
-    span = recording.span_ns({topic.name for topic in recording.topics if is_cloud(topic)})
+    span = cloud_span(recording)
     if span is None:
         key = next(key for key in ("start_at", "start_s", "window_s", "window") if getattr(config, key))
         return TimeRange(notes=(f"Point files have no time: ingest.{key} has no effect.",))
     start_ns = start_of(span, config, label)
     if config.window == "auto":
-        return _still_range(recording, config, start_ns, span, label)
+        return _still_range(ChosenRecording(recording, topics), config, start_ns, span, label)
     if not config.window_s:
         return TimeRange(start_ns)
     end_ns = start_ns + round(config.window_s * _NS_PER_S)

@@ -1,126 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics that are used as LiDARs, with the frames of each."""
+"""The frames of each LiDAR in one time range."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
 
 from multilica.config import IngestConfig
-from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, UnreadableSourceError, listed
+from multilica.errors import UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud, is_packets, obstacle
-from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Topic, normal_type
+from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
+from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
-from multilica.pointcloud2 import MERGED_TOPIC
+from multilica.ingest.selection.topics import named_topics
 from multilica.snapshot import Scan
 
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
 _MAX_BROKEN = 1000
-
-
-def choose_topics(
-    recording: Recording, asked_for: Mapping[str, str], label: str, only: Sequence[str] = ()
-) -> dict[str, str]:
-    """Return topic -> name of the LiDAR, empty to name it after its frame id.
-
-    A topic may be given by its name, by a shell pattern (``/lidar_*/points``), or by its message type. If none is
-    given, every point cloud topic with messages is used. `MERGED_TOPIC` is used only if it is given by its name.
-
-    Args:
-        asked_for: LiDAR name -> topic, as in `ingest.topics`.
-        only: topics without names for their LiDARs, as in `ingest.only`.
-
-    Raises:
-        UnfitSnapshotError: the recording has no point clouds, or a topic given by name cannot be read.
-        UnknownNameError: there is no such point cloud topic.
-        ConfigError: a topic with two names, a name with two topics, or an empty name.
-    """
-    named = {*only, *asked_for.values()}
-    found = (topic for topic in recording.topics if is_cloud(topic))
-    clouds = {topic.name: topic for topic in found if topic.name != MERGED_TOPIC or topic.name in named}
-    if not any(topic.count for topic in clouds.values()):
-        raise UnfitSnapshotError(_no_clouds(recording, label))
-    if not asked_for and not only:
-        return {name: topic.lidar for name, topic in clouds.items() if topic.count and not _is_twin(topic, clouds)}
-    for topic in recording.topics:
-        if topic.name in named and topic.name not in clouds and (content := obstacle(topic)):
-            raise UnfitSnapshotError(f"In {label}, '{topic.name}' holds {content}.")
-    chosen: dict[str, str] = {}
-    for pattern in only:
-        chosen |= {name: clouds[name].lidar for name in _matching(pattern, clouds, label)}
-    return chosen | _named(asked_for, clouds, label)
-
-
-def unread_notes(recording: Recording) -> list[str]:
-    """Return notes on topics with points that cannot be read, and what to do about them."""
-    clouds = {topic.name: topic for topic in recording.topics if is_cloud(topic)}
-    topics: dict[str, list[str]] = defaultdict(list)
-    for topic in recording.topics:
-        if topic.count and not _is_twin(topic, clouds) and (content := obstacle(topic)):
-            topics[content].append(f"'{topic.name}'")
-    return [f"{listed(names)} {'hold' if len(names) > 1 else 'holds'} {text}." for text, names in topics.items()]
-
-
-def _named(asked_for: Mapping[str, str], clouds: Mapping[str, Topic], label: str) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for name, pattern in asked_for.items():
-        if not name.strip():
-            raise ConfigError(f"In ingest.topics, the topic '{pattern}' has an empty name; expected NAME=/topic.")
-        topic, *more = _matching(pattern, clouds, label)
-        if more:
-            raise ConfigError(
-                f"In ingest.topics, '{pattern}' is several topics for the LiDAR '{name}': {', '.join([topic, *more])}; "
-                "expected one."
-            )
-        if topic in found:
-            raise ConfigError(
-                f"In ingest.topics, the topic '{topic}' has several names: {found[topic]}, {name}; expected one."
-            )
-        found[topic] = name
-    return found
-
-
-def _matching(pattern: str, clouds: Mapping[str, Topic], label: str) -> list[str]:
-    """Return the topic of that name, else those that match the pattern, else those of that type."""
-    if pattern in clouds:
-        return [pattern]
-    matched = [name for name in clouds if fnmatchcase(name, pattern)]
-    typed = [name for name, topic in clouds.items() if topic.count and topic.message_type == normal_type(pattern)]
-    if not matched and not typed:
-        raise UnknownNameError("point cloud topic", pattern, clouds, label)
-    return matched or typed
-
-
-def _is_twin(topic: Topic, clouds: Mapping[str, Topic]) -> bool:
-    """Return whether a topic holds packets of a LiDAR whose point clouds were recorded, too."""
-    namespace = topic.name.rpartition("/")[0]
-    siblings = (other for other in clouds.values() if other.name.rpartition("/")[0] == namespace)
-    return is_packets(topic.message_type) and any(
-        other.count and not is_packets(other.message_type) for other in siblings
-    )
-
-
-def _no_clouds(recording: Recording, label: str) -> str:
-    clouds = {topic.name for topic in recording.topics if is_cloud(topic)}
-    if clouds == {MERGED_TOPIC}:
-        return f"{label} holds no point clouds of LiDARs: '{MERGED_TOPIC}' is what `multilica publish` joined."
-    silent = sorted(clouds - {MERGED_TOPIC})
-    if silent:
-        return f"{label} holds no point clouds: its topics {listed(silent)} have no messages."
-    unread = unread_notes(recording)
-    if unread:
-        return f"{label} holds no point clouds that can be read: {unread[0]}"
-    types = listed(sorted({topic.message_type for topic in recording.topics})) or "no messages"
-    return f"{label} holds no point clouds; expected sensor_msgs/msg/PointCloud2, found {types}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,12 +36,14 @@ class Window:
         broken: topic -> error, for topics whose frames are all broken.
         notes: what the user should know.
         faults: the notes on unusable parts of the recording.
+        joined: topic -> error, for topics that hold the clouds of several LiDARs.
     """
 
     clouds: Mapping[str, tuple[Cloud, ...]]
     broken: Mapping[str, str]
     notes: tuple[str, ...]
     faults: tuple[str, ...] = ()
+    joined: Mapping[str, str] = field(default_factory=dict)
 
 
 def collect_frames(
@@ -156,7 +62,7 @@ def collect_frames(
         UnfitSnapshotError: the recording ends before the window begins.
         UnreadableSourceError: it is damaged before the first frame.
     """
-    times = times or find_time_range(recording, config, label)
+    times = times or find_time_range(recording, config, label, topics)
     counts: Counter[str] = Counter()
     for topic in filter(is_cloud, recording.topics):
         counts[topic.name] += topic.count
@@ -182,27 +88,39 @@ def collect_frames(
         {topic: sentences[0] for topic, sentences in unread.items() if sentences and topic not in clouds},
         (*faults, *shortages, *remarks),
         (*(shortages if damage else ()), *faults),
+        {stream.topic: joined for stream in streams if (joined := stream.joined(label))},
     )
 
 
-def require_frames(window: Window, topics: Collection[str], config: IngestConfig, label: str) -> None:
+def require_frames(window: Window, topics: Mapping[str, str], config: IngestConfig, label: str) -> None:
     """Check that there is a frame, and one of every topic that was asked for by name.
+
+    Args:
+        topics: topic -> name of the LiDAR, as chosen.
 
     Raises:
         UnreadableSourceError: all frames are broken, or all of a topic that was asked for by name; with
             `config.strict`, any fault.
-        UnfitSnapshotError: no frame lies in the window.
+        UnfitSnapshotError: no frame lies in the window, or a topic holds the clouds of several LiDARs.
     """
+    require_separate(window, topics)
     if config.strict and window.faults:
         raise UnreadableSourceError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
     has_frames = bool(window.clouds.keys() & set(topics))
+    named = named_topics(topics, config)
     for topic in sorted(topics):
-        if topic in window.broken and (topic in (*config.topics.values(), *config.only) or not has_frames):
+        if topic in window.broken and (topic in named or not has_frames):
             raise UnreadableSourceError(window.broken[topic])
-        if topic not in window.clouds and topic in config.topics.values():
+        if topic not in window.clouds and topic in named - {*config.only}:
             raise UnfitSnapshotError(f"{label} has no scan of '{topic}' after {config.start_s:g} s.")
     if not has_frames:
         raise UnfitSnapshotError(f"{label} has no readable scan after {config.start_s:g} s.")
+
+
+def require_separate(window: Window, topics: Collection[str]) -> None:
+    """Raise UnfitSnapshotError if one of the topics holds the clouds of several LiDARs."""
+    for topic in sorted(window.joined.keys() & set(topics)):
+        raise UnfitSnapshotError(window.joined[topic])
 
 
 def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeRange, frames: int) -> str:
@@ -297,6 +215,19 @@ class TopicFrames:
             scan = Scan(np.empty((0, 3), np.float32), scan.stamp_ns)
         memory_budget().take(scan.nbytes)
         self.clouds.append(replace(cloud, scan=replace(scan, log_time_ns=message.log_time_ns)))
+
+    def joined(self, label: str) -> str:
+        """Return a sentence if the clouds are of several LiDARs; empty if not."""
+        devices = sorted({cloud.device or cloud.frame_id for cloud in self.clouds})
+        frame_ids = [cloud.frame_id for cloud in self.clouds]
+        # A frame may be renamed once; several LiDARs send in turn.
+        changes = sum(one != other for one, other in pairwise(frame_ids))
+        if len({cloud.device for cloud in self.clouds}) < 2 and changes <= max(1, len(set(frame_ids)) - 1):
+            return ""
+        return (
+            f"In {label}, '{self.topic}' holds the clouds of {len(devices)} LiDARs ({', '.join(devices)}); expected a "
+            "topic for each, as with `multi_topic: 1` of the Livox drivers: record it so, or choose others by --topic."
+        )
 
     def faults(self) -> Iterator[str]:
         """Yield sentences on scans that cannot be used as they are."""

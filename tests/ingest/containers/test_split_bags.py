@@ -11,7 +11,7 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from multilica.config import IngestConfig
-from multilica.errors import UnreadableSourceError
+from multilica.errors import UnreadableSourceError, UsageError
 from multilica.ingest import read_snapshot
 from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.recording_writers import assert_same_points, make_snapshot, write_mcap, write_ros2_bag
@@ -85,3 +85,18 @@ def test_what_lies_behind_a_damaged_part_is_used(tmp_path: Path) -> None:
         scan.stamp_ns for scan in (whole.lidars[0].scans[number] for number in (0, 2, 3))
     ]
     assert snapshot.notes[0].startswith("'/lidar_0/points' has lost scans in 1 place: ")
+
+
+@pytest.mark.parametrize(
+    ("first", "error"), [(0, "2 recordings of the same time"), (1, "give one of them by its name")]
+)
+def test_a_folder_of_recorders_is_no_split_bag(tmp_path: Path, first: int, error: str) -> None:
+    (tmp_path / "log").mkdir()
+    paths = [tmp_path / "log" / f"lidar_{number}.mcap" for number in (first, first + 1)]
+    for path, lidar in zip(paths, make_snapshot().lidars, strict=True):
+        write_mcap(Snapshot((lidar,)), path)
+    with pytest.raises(UsageError, match=error):
+        read_snapshot(tmp_path / "log")
+    assert len(read_snapshot(paths).lidars) == 2
+    (tmp_path / "log" / "metadata.yaml").write_text(metadata([path.name for path in paths]), encoding="utf-8")
+    assert len(read_snapshot(tmp_path / "log").lidars) == 2

@@ -148,16 +148,48 @@ def test_packets_name_the_driver_to_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert "packets of Ouster" in note
 
 
-def test_packets_beside_the_clouds_made_of_them_are_left_out(tmp_path: Path) -> None:
-    snapshot = make_snapshot(lidars=1)
-    lidar = snapshot.lidars[0]
-    cloud = Snapshot((LidarScans("velodyne", lidar.scans, topic="/velodyne_points"),))
+def _velodyne_beside(topic: str, path: Path) -> Snapshot:
+    """Packets on /velodyne_packets and on /pandar_packets beside the cloud of a Livox on a topic."""
+    lidar = make_snapshot(lidars=1).lidars[0]
+    cloud = Snapshot((LidarScans("cloud", lidar.scans, topic=topic),))
     hesai = [("/pandar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, b"\0" * 40)]
-    messages = [*velodyne_messages("cdr"), *hesai, *livox_messages(cloud, "livox_ros_driver2", "cdr")]
-    write_raw_mcap(iter(messages), tmp_path / "a.mcap", "cdr")
-    found = read_snapshot(tmp_path / "a.mcap")
+    messages = [*velodyne_messages("cdr", range_m=10.0), *hesai, *livox_messages(cloud, "livox_ros_driver2", "cdr")]
+    write_raw_mcap(iter(messages), path, "cdr")
+    return read_snapshot(path)
+
+
+def test_packets_beside_the_clouds_made_of_them_are_left_out(tmp_path: Path) -> None:
+    found = _velodyne_beside("/velodyne_points", tmp_path / "a.mcap")
     assert [lidar.topic for lidar in found.lidars] == ["/velodyne_points"]
-    assert found.notes == ()
+    assert [note.partition(", which")[0] for note in found.notes] == [
+        "'/pandar_packets' holds packets of Hesai",
+        "'/velodyne_packets' holds packets of LiDARs whose clouds are recorded, too, and are used.",
+    ]
+
+
+def test_packets_beside_clouds_of_other_lidars_are_read(tmp_path: Path) -> None:
+    found = _velodyne_beside("/livox_points", tmp_path / "a.mcap")
+    assert [lidar.topic for lidar in found.lidars] == ["/livox_points", "/velodyne_packets"]
+
+
+@pytest.mark.parametrize(
+    ("packets", "clouds", "is_twin"),
+    [
+        ("/top/velodyne_packets", "/top/pointcloud_raw_ex", True),
+        ("/ouster/lidar_packets", "/ouster/points", True),
+        ("/velodyne_packets", "/velodyne_points", True),
+        ("/packets", "/points", True),
+        ("/lidar/velodyne_packets", "/lidar/rslidar_points", False),
+        ("/velodyne_packets", "/points", False),
+        ("/top/packets", "/rear/points", False),
+    ],
+)
+def test_what_makes_packets_those_of_a_cloud(packets: str, clouds: str, *, is_twin: bool, tmp_path: Path) -> None:
+    (_, kind, time_ns, data), *_ = velodyne_messages("cdr")
+    cloud = Snapshot((LidarScans("cloud", make_snapshot(lidars=1).lidars[0].scans, topic=clouds),))
+    messages = [(packets, kind, time_ns, data), *livox_messages(cloud, "livox_ros_driver2", "cdr")]
+    write_raw_mcap(iter(messages), tmp_path / "a.mcap", "cdr")
+    assert len(read_snapshot(tmp_path / "a.mcap").lidars) == (1 if is_twin else 2)
 
 
 def test_a_pose_of_the_cloud_in_its_frame_is_told(tmp_path: Path, scene: Snapshot) -> None:

@@ -174,9 +174,13 @@ def test_a_vehicle_that_stays_costs_a_look(
     assert 1 < len(decoded) <= 10  # by `assert_read_as_one`, twice
 
 
-def test_a_drive_with_one_standstill_is_read_as_before(drive: SimulatedDrive, tmp_path: Path) -> None:
-    write_ros2_mcap(part(drive, slice(0, STAND_FRAMES + 20)), tmp_path / "a.mcap")
-    assert_read_as_one(tmp_path / "a.mcap")
+def test_a_drive_with_one_standstill_is_read_as_one_and_told(drive: SimulatedDrive, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_ros2_mcap(part(drive, slice(0, STAND_FRAMES + 20)), path)
+    (found,), usual = read_drive(path, "auto", config=FEW), read_snapshot(path, config=FEW)
+    assert found.notes[:-1] == usual.notes
+    assert found.notes[-1].startswith("The vehicle drives in this log, and fewer than two stops")
+    assert [lidar.scans[0].stamp_ns for lidar in found.lidars] == [lidar.scans[0].stamp_ns for lidar in usual.lidars]
 
 
 @pytest.mark.in_turn

@@ -16,6 +16,7 @@ from multilica.pointcloud2 import MERGED_TOPIC
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
 from tests.ingest.support.recording_writers import (
+    CLOUD,
     PERIOD_NS,
     START_NS,
     assert_same_points,
@@ -197,6 +198,38 @@ def test_lidars_with_clocks_of_their_own(tmp_path: Path) -> None:
         "The stamps lag behind the log time: '/lidar_0' by 0.010 s, '/lidar_1' by 37.010 s; "
         "the frames were chosen by log time."
     )
+
+
+def _sent_on_one_topic(tmp_path: Path, frame_ids: str, ids: list[int]) -> Snapshot:
+    """Clouds of Livox with these numbers, and PointCloud2 of these frames, each on one topic beside a third one."""
+    scans = make_snapshot(lidars=1, frames=6).lidars[0].scans
+    store, kind = ros2_types(), "livox_ros_driver2/msg/CustomMsg"
+    lidar = LidarScans("livox", scans, topic="/livox/lidar")
+    livox = [*livox_messages(Snapshot((lidar,)), "livox_ros_driver2", "cdr")]
+    clouds = [
+        ("/points", CLOUD, START_NS + number, bytes(store.serialize_cdr(cloud_message(store, scan, frame_id), CLOUD)))
+        for number, (frame_id, scan) in enumerate(zip(frame_ids, scans, strict=False))
+    ]
+    numbered = []
+    for (topic, _, time_ns, data), number in zip(livox, ids, strict=False):
+        at = data.index(time_ns.to_bytes(8, "little")) + 12  # behind the time base and the number of points
+        numbered.append((topic, kind, time_ns, data[:at] + bytes([number]) + data[at + 1 :]))
+    write_raw_mcap(iter([*clouds, *numbered]), tmp_path / "a.mcap", "cdr")
+    return read_snapshot(tmp_path / "a.mcap")
+
+
+def test_several_lidars_on_one_topic_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnfitSnapshotError, match=r"'/livox/lidar' holds .* 2 LiDARs \(lidar_id 1, lidar_id 7\)"):
+        _sent_on_one_topic(tmp_path, "aaaa", [7, 1, 7, 1])
+    with pytest.raises(UnfitSnapshotError, match=r"'/points' holds .* 2 LiDARs \(a, b\); .*multi_topic: 1"):
+        _sent_on_one_topic(tmp_path, "abab", [7, 7])
+    assert "only one LiDAR" in inspect_source(tmp_path / "a.mcap", config=IngestConfig(only=("/l*",))).objection
+
+
+def test_a_frame_that_is_renamed_is_one_lidar(tmp_path: Path) -> None:
+    snapshot = _sent_on_one_topic(tmp_path, "aabb", [7, 7, 7, 7])
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [4, 4]
+    assert snapshot.notes[0] == "'/points' has scans in several frames (a, b), used as one."
 
 
 def test_scans_that_are_there_twice_are_taken_once(tmp_path: Path) -> None:

@@ -172,8 +172,10 @@ def test_a_silent_topic_is_left_out(tmp_path: Path) -> None:
     snapshot = read_snapshot(tmp_path / "a.mcap", config=config)
     assert snapshot.names == ("lidar_0",)
     assert snapshot.notes == ("'/late' has 0 scans in the window, others have more.",)
-    with pytest.raises(UnfitSnapshotError, match=r"no scan of '/late' after 0\.3 s"):
-        read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"topics": {"late": "/late"}}))
+    for topic in ("/late", "/lat*"):
+        with pytest.raises(UnfitSnapshotError, match=r"no scan of '/late' after 0\.3 s"):
+            read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"topics": {"late": topic}}))
+    assert read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"only": ("/*",)})).names == ("lidar_0",)
 
 
 def test_one_lidar_is_read_but_cannot_be_calibrated(tmp_path: Path) -> None:

@@ -79,3 +79,12 @@ def test_what_is_repeated_for_hours_is_not_read_for_hours(tmp_path: Path) -> Non
 def test_moving_transforms_are_no_static_ones(tmp_path: Path) -> None:
     write_transforms(tmp_path / "a.mcap", [("map", "base", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])], topic="/tf")
     assert inspect_source(tmp_path / "a.mcap").static_transforms == ()
+
+
+def test_a_frame_with_two_parents_is_told(tmp_path: Path) -> None:
+    level = [0.0, 0.0, 0.0, 1.0]
+    write_transforms(
+        tmp_path / "a.mcap", [("base", "roof", [1.0, 0.0, 0.0], level)], [("nose", "roof", [9.0, 0, 0], level)]
+    )
+    (note,) = inspect_source(tmp_path / "a.mcap").notes
+    assert note == "'/tf_static' gives 'roof' the parents base, nose; expected one: remove the others."
