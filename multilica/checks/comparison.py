@@ -60,6 +60,11 @@ class LidarCheck(Entry):
     max_rotation_deg: float
 
     @property
+    def elsewhere(self) -> bool:
+        """Whether it is within at another stop of the drive, and was not measured at this one."""
+        return self.verdict == "within" and self.distance_m is None
+
+    @property
     def share(self) -> float | None:
         """The difference as a share of the tolerance, in translation or rotation, whichever is larger."""
         if self.distance_m is None or self.angle_deg is None:
@@ -89,11 +94,14 @@ class RigCheck(Entry):
     def sentence(self) -> str:
         """The outcome, for people."""
         undecided = [each.lidar for each in self.lidars if each.verdict == "undecided"]
+        elsewhere = [each.lidar for each in self.lidars if each.elsewhere]
         parts = []
         if self.moved:
             parts.append(f"{_and(self.moved)} {'is' if len(self.moved) == 1 else 'are'} outside")
         if undecided:
             parts.append(f"{_and(undecided)} cannot be decided")
+        if elsewhere:
+            parts.append(f"{_and(elsewhere)} {'was' if len(elsewhere) == 1 else 'were'} not measured here")
         if not parts:
             return f"All {len(self.lidars) + 1} LiDARs agree with the reference."
         return f"{'; '.join(parts)}."
@@ -301,7 +309,7 @@ def _decide(
 
 def _digits(value: float) -> str:
     """Return a figure with three digits, but no power of ten."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+    return f"{value:.0f}" if value >= 100.0 else f"{round(value, 4):.3g}"
 
 
 def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:

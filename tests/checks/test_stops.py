@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops
+from multilica.checks.ci_reports import junit_xml, summary_markdown, word_of
 
 
 def stop(name: str, root: str = "top", **verdicts: str) -> RigCheck:
@@ -29,6 +30,22 @@ def test_the_root_of_a_stop_is_within_there() -> None:
     checks = settle_stops([stop("one", "left", top="within"), stop("two", left="undecided")])
     assert verdicts_of(checks)[1] == {"left": "within"}
     assert "others are compared to it at one" in checks[1].lidars[0].reason
+
+
+def test_a_stop_that_measured_nothing_says_so() -> None:
+    found = stop("all", front="within")
+    found = found.model_copy(update={"lidars": (found.lidars[0].model_copy(update={"distance_m": 0.01}),)})
+    checks = settle_stops([found, stop("one", front="undecided"), stop("two", "front", top="undecided")])
+    assert [check.verdict for check in checks] == ["within"] * 3
+    assert [check.sentence for check in checks] == [
+        "All 2 LiDARs agree with the reference.",
+        "front was not measured here.",
+        "top was not measured here.",
+    ]
+    assert [word_of(check.lidars[0]) for check in checks] == ["within", "not measured", "not measured"]
+    assert junit_xml(checks, "2026-11-23T03:00:00").count("<skipped />") == 2
+    row = next(line for line in summary_markdown(checks[1:2], "reference").splitlines() if line.startswith("| front"))
+    assert row.startswith("| front | not measured | - | - | - | so it is at all; here: so it is |")
 
 
 def test_what_moved_later_stays_outside() -> None:

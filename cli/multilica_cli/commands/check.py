@@ -294,7 +294,7 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
 
 def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
     """Print a table per rig, the reasons of what is not within, and the outcome."""
-    from multilica.checks.ci_reports import VERDICT_WORDS
+    from multilica.checks.ci_reports import word_of
 
     for rig in checks:
         table = FoldingTable(f"compared to {rig.root}: {rig.name}", _COLUMNS, numbers_from=2, keys=2)
@@ -302,10 +302,10 @@ def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: C
             lengths = number_cells((each.distance_m, each.sigma_m), 1000.0, 1)
             angles = number_cells((each.angle_deg, each.sigma_deg), 1.0, 3)
             limits = f"{1000.0 * each.max_translation_m:g}", f"{each.max_rotation_deg:g}"
-            table.add_row(VERDICT_WORDS[each.verdict], each.lidar, *lengths, limits[0], *angles, limits[1])
+            table.add_row(word_of(each), each.lidar, *lengths, limits[0], *angles, limits[1])
         console.print(table)
         for each in rig.lidars:
-            if each.verdict != "within":
+            if each.verdict != "within" or each.elsewhere:
                 console.print(f"LiDAR {each.lidar}: {each.reason}")
         for note in rig.notes:
             console.print(f"note: {note}")
