@@ -61,7 +61,7 @@ class LidarCheck(Entry):
 
     @property
     def elsewhere(self) -> bool:
-        """Whether it is within at another stop of the drive, and was not measured at this one."""
+        """True if another stop of the drive finds it within, and this one did not measure it."""
         return self.verdict == "within" and self.distance_m is None
 
     @property

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops
+from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops, without_common_view
 from multilica.checks.ci_reports import junit_xml, summary_markdown, word_of
 
 
@@ -58,3 +58,17 @@ def test_what_moved_later_stays_outside() -> None:
 def test_what_no_stop_decides_is_undecided() -> None:
     checks = settle_stops([stop("one", left="undecided", right="undecided"), stop("two", left="undecided")])
     assert check_document(checks, "reference").verdict == "undecided"
+
+
+def test_lidars_without_a_common_view_are_left_to_check() -> None:
+    reason = "not placed: it shares too few surfaces with top"
+    checks = [stop("one", left="undecided", right="undecided"), stop("two", left="undecided", right="within")]
+    blind = [
+        check.model_copy(update={"lidars": tuple(each.model_copy(update={"reason": reason}) for each in check.lidars)})
+        for check in checks
+    ]
+    left, right = without_common_view(blind)[0].lidars
+    assert left.reason.startswith(f"{reason}; no stop has a common view, and `multilica check` on the log compares")
+    assert right.reason == reason
+    assert without_common_view(blind[:1]) == (blind[0],)
+    assert without_common_view(checks) == tuple(checks)

@@ -218,7 +218,7 @@ def verify(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import absent_lidars, read_reference, verify_stops, with_absent
+    from multilica.checks import absent_lidars, read_reference, verify_stops, with_absent, without_common_view
     from multilica.ingest import frames_recorded, read_drive
     from multilica.ingest.locate import locate
     from multilica.orchestration.state import deadline_of
@@ -230,7 +230,7 @@ def verify(
     snapshots = read_drive(files, config.drive.stops, config=config.ingest)
     frame_ids = {lidar.name: lidar.frame_id for snapshot in snapshots for lidar in snapshot.lidars}
     known, absent = read_reference(calibration, frame_ids), absent_lidars(calibration, frame_ids)
-    checks = verify_stops(snapshots, known, limits.without(absent), config, deadline_s)
+    checks = without_common_view(verify_stops(snapshots, known, limits.without(absent), config, deadline_s))
     found = [with_absent(each, absent, limits, chosen=config.ingest.chooses_topics) for each in checks]
     return _finish(found, calibration, gate, quiet=quiet, as_json=as_json)
 
