@@ -63,16 +63,23 @@ class Extrinsics:
     def seen_from(self, T_base_target: RigidTransform) -> "Extrinsics":
         """Return the same poses in a base frame, where the target has a pose of its own.
 
-        The pose of the base counts as exact. If it is a LiDAR with a pose of its own, the covariances are left out.
+        The pose of the base counts as exact, unless the base is a LiDAR with a pose of its own: then each covariance is
+        that of the two, and includes what is not known of the base.
         """
         base = T_base_target.target
         poses = {frame: T_base_target @ self.between(self.target, frame) for frame in self.members if frame != base}
+        if not self.covariances:
+            return Extrinsics(base, dict(sorted(poses.items())))
+        turn = np.kron(np.eye(2), T_base_target.rotation)
         covariances = {}
-        if self.covariances and base not in self.T_target_source:
-            turn = np.kron(np.eye(2), T_base_target.rotation)
-            covariances = {
-                frame: turn @ known @ turn.T for frame in sorted(poses) if (known := self.covariance(frame)) is not None
-            }
+        for frame in sorted(poses):
+            if base in self.T_target_source:
+                known = self.covariance_between(base, frame)
+            else:
+                own = self.covariance(frame)
+                known = None if own is None else turn @ own @ turn.T
+            if known is not None:
+                covariances[frame] = known
         return Extrinsics(base, dict(sorted(poses.items())), covariances=covariances)
 
     def covariance(self, name: str) -> FloatArray | None:

@@ -28,6 +28,7 @@ from multilica.results.registrations import weakest_deviations
 from multilica.results.values import BY_CONTRADICTING, COVERED, OPEN_POSE
 from multilica.visibility.sensor_view import ScorePose
 
+TOO_FEW_SURFACES = "it shares too few surfaces with"
 # Movable objects hold a pose if its standard deviation grows by this factor without them.
 _HELD_GROWTH = 1.5
 # The length of a car: what is open by more is not held at all, and no covariance of small motions describes it.
@@ -240,7 +241,7 @@ def unplaced_near_known(
         (other,) = best.lidars - {lidar}
         reason = f"no pose near the known one fits {other}: {best.verdict.text or 'too few points match'}"
     elif any(lidar in pair for pair in scores):
-        reason = f"it shares too few surfaces with {' and '.join(sorted(placed))}"
+        reason = f"{TOO_FEW_SURFACES} {' and '.join(sorted(placed))}"
     else:
         reason = "it has no returns in range, or no known pose"
     return LidarPlacement(lidar, reason, contradicts_prior=contradicted)

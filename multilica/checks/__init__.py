@@ -13,7 +13,7 @@ from multilica.checks.comparison import (
     verify_snapshot,
 )
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
-from multilica.checks.stops import settle_stops, verify_stops
+from multilica.checks.stops import settle_stops, verify_stops, without_common_view
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 
 __all__ = [
@@ -36,4 +36,5 @@ __all__ = [
     "verify_snapshot",
     "verify_stops",
     "with_absent",
+    "without_common_view",
 ]

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 VERDICT_WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
+NOT_MEASURED = "not measured"
+"""The word for a LiDAR that is within at another stop."""
 _BAR = 10
 _FULL_SHARE = 2.0
 """A bar ends at twice the tolerance."""
@@ -69,8 +71,16 @@ def write_reports(
     return written
 
 
+def word_of(check: LidarCheck) -> str:
+    """Return the verdict on a LiDAR, for people."""
+    return NOT_MEASURED if check.elsewhere else VERDICT_WORDS[check.verdict]
+
+
 def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
-    """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error."""
+    """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error.
+
+    A LiDAR that a stop did not measure, and another one found within, is skipped there.
+    """
     root = Element("testsuites")
     for number, rig in enumerate(map(_printable, rigs)):
         count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in VERDICT_WORDS}
@@ -90,10 +100,13 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
         SubElement(suite, "properties")
         for each in rig.lidars:
             case = SubElement(suite, "testcase", name=each.lidar, classname=f"multilica.{rig.name}", time="0")
-            if each.verdict != "within":
+            if each.elsewhere:
+                SubElement(case, "skipped")
+            elif each.verdict != "within":
                 kind = "failure" if each.verdict == "outside" else "error"
                 SubElement(case, kind, type=each.verdict, message=each.reason).text = f"{each.lidar}: {each.reason}"
-        SubElement(suite, "system-out").text = "\n".join((rig.sentence, *rig.notes))
+        elsewhere = [f"{each.lidar}: {each.reason}" for each in rig.lidars if each.elsewhere]
+        SubElement(suite, "system-out").text = "\n".join((rig.sentence, *elsewhere, *rig.notes))
         SubElement(suite, "system-err")
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
@@ -118,7 +131,7 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
 
 
 def _row(check: LidarCheck) -> str:
-    cells = [_text(check.lidar), f"**{VERDICT_WORDS[check.verdict]}**" if check.verdict != "within" else check.verdict]
+    cells = [_text(check.lidar), word_of(check) if check.verdict == "within" else f"**{word_of(check)}**"]
     if check.distance_m is None or check.angle_deg is None or check.share is None:
         cells += ["-", "-", "-"]
     else:
@@ -221,7 +234,8 @@ def _x(share: float) -> float:
 
 def _draw_bars(pen: ImageDraw, font: ImageFont | FreeTypeFont, check: LidarCheck, y: int) -> None:
     if check.distance_m is None or check.angle_deg is None:
-        pen.text((_x(0.0) + 8, y + 6), "not placed", fill=_COLOURS[check.verdict], font=font)
+        told = NOT_MEASURED if check.elsewhere else "not placed"
+        pen.text((_x(0.0) + 8, y + 6), told, fill=_COLOURS[check.verdict], font=font)
         return
     of_translation = check.distance_m, check.sigma_m, check.max_translation_m
     of_rotation = check.angle_deg, check.sigma_deg, check.max_rotation_deg

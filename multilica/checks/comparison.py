@@ -39,7 +39,8 @@ class LidarCheck(Entry):
         reference_sigma_m, reference_sigma_deg: the reference's part of it; None where it is not known.
         translation_probability, rotation_probability: of as large a difference of a LiDAR that has not moved, by the
             covariance of the difference: chi squared with 3 degrees of freedom each.
-        max_translation_m, max_rotation_deg: the tolerance.
+        max_translation_m, max_rotation_deg: the tolerance: that of the LiDAR, or what the root has of its own if that
+            is smaller and no majority agrees with the root.
     """
 
     lidar: str = Field(exclude=True)
@@ -57,6 +58,11 @@ class LidarCheck(Entry):
     rotation_probability: Number = None
     max_translation_m: float
     max_rotation_deg: float
+
+    @property
+    def elsewhere(self) -> bool:
+        """True if another stop of the drive finds it within, and this one did not measure it."""
+        return self.verdict == "within" and self.distance_m is None
 
     @property
     def share(self) -> float | None:
@@ -88,11 +94,14 @@ class RigCheck(Entry):
     def sentence(self) -> str:
         """The outcome, for people."""
         undecided = [each.lidar for each in self.lidars if each.verdict == "undecided"]
+        elsewhere = [each.lidar for each in self.lidars if each.elsewhere]
         parts = []
         if self.moved:
             parts.append(f"{_and(self.moved)} {'is' if len(self.moved) == 1 else 'are'} outside")
         if undecided:
             parts.append(f"{_and(undecided)} cannot be decided")
+        if elsewhere:
+            parts.append(f"{_and(elsewhere)} {'was' if len(elsewhere) == 1 else 'were'} not measured here")
         if not parts:
             return f"All {len(self.lidars) + 1} LiDARs agree with the reference."
         return f"{'; '.join(parts)}."
@@ -134,8 +143,10 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     """Compare the poses of a run with a reference.
 
     The LiDARs are compared to that one with which most others agree, so that a single moved LiDAR is named even if it
-    is the target. A difference counts only if the covariances of found pose and reference do not explain it: their sum,
-    as of two scenes that share no errors. A standard deviation above the tolerance decides nothing.
+    is the target. A pair agrees within the smaller of its two tolerances.
+
+    A difference counts only if the covariances of found pose and reference do not explain it: their sum, as of two
+    scenes that share no errors. A standard deviation above the tolerance decides nothing.
 
     Raises:
         UsageError: run and reference have fewer than two LiDARs in common, or a tolerance is for none of them.
@@ -145,9 +156,9 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     _require_names(found, reference, sorted(common), tolerances)
     compared = sorted((each for each in found.placements if each.lidar in common), key=lambda each: each.lidar)
     placed = {each.lidar: each for each in compared if each.T_target_source is not None}
-    root, notes = _root(found.target, placed, reference, tolerances)
+    root, limits, notes = _root(found.target, placed, reference, tolerances)
     checks = tuple(
-        _check(each, placed.get(root), found.target, reference, tolerances.of(each.lidar))
+        _check(each, placed.get(root), found.target, reference, limits.get(each.lidar) or tolerances.of(each.lidar))
         for each in compared
         if each.lidar != root
     )
@@ -172,25 +183,36 @@ def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str]
 
 def _root(
     target: str, placed: dict[str, LidarPlacement], reference: Extrinsics, tolerances: RigTolerances
-) -> tuple[str, list[str]]:
-    """Choose the LiDAR with which most agree, the target of the run among equals."""
+) -> tuple[str, dict[str, Tolerance], list[str]]:
+    """Choose the LiDAR with which most agree: among equals one without a tolerance of its own, then the target.
+
+    Returns:
+        The root, the tolerance of each other placed LiDAR beside it, and notes.
+    """
     if len(placed) < 2:
         names = placed or reference.members
-        return (target if target in names else min(names)), []
+        return (target if target in names else min(names)), {}, []
+    errors = {
+        (root, name): PoseError.between(*_poses(placed[root], placement, reference))
+        for root in placed
+        for name, placement in placed.items()
+    }
     agreeing = {
         root: frozenset(
-            name
-            for name, placement in placed.items()
-            if name == root or tolerances.of(name).holds(PoseError.between(*_poses(placed[root], placement, reference)))
+            name for name in placed if name == root or tolerances.smaller(name, root).holds(errors[root, name])
         )
         for root in sorted(placed)
     }
-    root = max(agreeing, key=lambda name: (len(agreeing[name]), name == target))
-    others = sorted(set(placed) - agreeing[root])
+    root = max(agreeing, key=lambda name: (len(agreeing[name]), not tolerances.has_own(name), name == target))
+    confirmed = 2 * len(agreeing[root]) > len(placed)  # else the root may be the one that is off by its own tolerance
+    limits = {
+        name: tolerances.of(name) if confirmed else tolerances.beside(name, root) for name in placed if name != root
+    }
+    others = [name for name in sorted(limits) if not limits[name].holds(errors[root, name])]
     rival = next((name for name in others if len(agreeing[name]) == len(agreeing[root])), None)
     if rival is None:
-        return root, []
-    return root, [f"equally many LiDARs agree with {root} and with {rival}, so the one that moved is unknown"]
+        return root, limits, []
+    return root, limits, [f"equally many LiDARs agree with {root} and with {rival}, so the one that moved is unknown"]
 
 
 def _poses(
@@ -287,7 +309,7 @@ def _decide(
 
 def _digits(value: float) -> str:
     """Return a figure with three digits, but no power of ten."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+    return f"{value:.0f}" if value >= 100.0 else f"{round(value, 4):.3g}"
 
 
 def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:

@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from multilica.acceptance.placement import TOO_FEW_SURFACES
 from multilica.checks.comparison import LidarCheck, RigCheck, verify_snapshot
 from multilica.checks.tolerances import RigTolerances
 from multilica.config import CalibrationConfig
@@ -39,6 +40,29 @@ def verify_stops(
     notes = tuple(f"a stop is left out: {str(refusal).rstrip('.')}" for refusal in refusals)
     checks[0] = checks[0].model_copy(update={"notes": (*checks[0].notes, *notes)})
     return settle_stops(checks)
+
+
+def without_common_view(checks: Sequence[RigCheck]) -> tuple[RigCheck, ...]:
+    """Say of the LiDARs that see too little in common with others at every one of several stops what decides them."""
+    seen = {
+        each.lidar
+        for check in checks
+        for each in check.lidars
+        if each.verdict != "undecided" or TOO_FEW_SURFACES not in each.reason
+    }
+    if len(checks) < 2:
+        return tuple(checks)
+    return tuple(
+        check.model_copy(
+            update={"lidars": tuple(each if each.lidar in seen else _blind(each) for each in check.lidars)}
+        )
+        for check in checks
+    )
+
+
+def _blind(each: LidarCheck) -> LidarCheck:
+    told = "no stop has a common view, and `multilica check` on the log compares a new calibration"
+    return each.model_copy(update={"reason": f"{each.reason}; {told}"})
 
 
 def settle_stops(checks: Sequence[RigCheck]) -> tuple[RigCheck, ...]:

@@ -41,6 +41,25 @@ class RigTolerances(BaseModel):
         own = self.lidars[lidar].model_dump(exclude_unset=True) if lidar in self.lidars else {}
         return self.default.model_copy(update=own)
 
+    def has_own(self, lidar: str) -> bool:
+        """Return whether one LiDAR has a tolerance of its own."""
+        return lidar in self.lidars
+
+    def smaller(self, lidar: str, other: str) -> Tolerance:
+        """Return the tolerance of a LiDAR, or that of another one where it is smaller."""
+        both = self.of(lidar), self.of(other)
+        return Tolerance(
+            translation_m=min(each.translation_m for each in both), rotation_deg=min(each.rotation_deg for each in both)
+        )
+
+    def beside(self, lidar: str, root: str) -> Tolerance:
+        """Return the tolerance of a LiDAR, or what the root has of its own where that is smaller."""
+        if not self.has_own(root):
+            return self.of(lidar)
+        own = self.lidars[root].model_dump(exclude_unset=True)
+        found = self.of(lidar)
+        return found.model_copy(update={name: min(value, getattr(found, name)) for name, value in own.items()})
+
     def without(self, lidars: Collection[str]) -> "RigTolerances":
         """Return the tolerances without those of some LiDARs."""
         left = {name: own for name, own in self.lidars.items() if name not in lidars}

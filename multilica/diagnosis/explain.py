@@ -203,9 +203,9 @@ def _input(document: ResultDocument) -> str:
 
 
 def _placed(name: str, entry: LidarEntry, target: str) -> Placed:
-    if entry.sigma_xyz_m is None or entry.sigma_rotation_deg is None:
+    if entry.largest_sigmas is None:
         return Placed(name, None, None, f"{name} is placed relative to {target}; no uncertainty available.")
-    sigma_m, sigma_deg = max(entry.sigma_xyz_m), max(entry.sigma_rotation_deg)
+    sigma_m, sigma_deg = entry.largest_sigmas
     sigmas = f"sigma {1e3 * sigma_m:.1f} mm, {sigma_deg:.3f} deg"
     return Placed(name, sigma_m, sigma_deg, f"{name} is placed relative to {target}: {sigmas}.")
 

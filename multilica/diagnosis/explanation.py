@@ -160,7 +160,7 @@ class DecisivePair:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A placed LiDAR other than the target; each sigma is the largest over the axes, None without a covariance."""
+    """A placed LiDAR other than the target; each sigma is that of the weakest direction, None without a covariance."""
 
     lidar: str
     sigma_m: float | None

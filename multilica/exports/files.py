@@ -38,13 +38,18 @@ _UPDATES: Mapping[str, Callable[[Path, Extrinsics], bytes]] = {"urdf": updated_u
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunExport:
-    """An export of a run: its common frame and LiDARs, some perhaps uncertain, and the missing ones by status."""
+    """An export of a run: its common frame and LiDARs, some perhaps uncertain, and the missing ones by status.
+
+    Args:
+        without_covariance: LiDARs whose covariance the run has, but not in a common frame that has none itself.
+    """
 
     path: Path
     base: str
     lidars: tuple[str, ...]
     missing: Mapping[str, str]
     uncertain: tuple[str, ...]
+    without_covariance: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -162,7 +167,12 @@ def export_run(
         _export_cloud(run, file, format, poses, tuple(document.lidars))
     uncertain = tuple(name for name in frame_of if not document.lidars[name].placed)
     missing = {name: entry.status for name, entry in document.lidars.items() if name not in frame_of}
-    return RunExport(file, found.target, tuple(frame_of), missing, uncertain)
+    lost = [
+        name
+        for name, frame in frame_of.items()
+        if name in document.covariances and frame != found.target and frame not in found.covariances
+    ]
+    return RunExport(file, found.target, tuple(frame_of), missing, uncertain, tuple(lost) if format == "toml" else ())
 
 
 def _export_cloud(run: Path, file: Path, kind: str, poses: Mapping[str, RigidTransform], names: Sequence[str]) -> None:

@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
-from math import isfinite
+from math import degrees, isfinite
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
@@ -14,7 +14,7 @@ from multilica.geometry import RigidTransform
 from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
-from multilica.results.registrations import PairRegistration
+from multilica.results.registrations import PairRegistration, weakest_deviations
 from multilica.results.stops import Knock, StopLink, StopMotion, StopPose
 from multilica.results.values import Figure
 
@@ -230,22 +230,28 @@ def html_table(result: CalibrationResult) -> str:
     """Return a table with the extrinsics, their largest standard deviations, and why a LiDAR has no certain pose."""
     caption = f"T_target_source, target {_text(result.target)}: {result.status}"
     head = "".join(_cell("th", name, _LEFT if index < 2 else _RIGHT) for index, name in enumerate(_HEAD))
-    body = "".join(_html_rows(row) for row in table_rows(result))
+    body = "".join(_html_rows(row, _sigmas(result[str(row["lidar"])])) for row in table_rows(result))
     return (
         f'<table style="border-collapse:collapse;color:inherit"><caption style="{_LEFT}">{caption}</caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
     )
 
 
-def _html_rows(row: Mapping[str, str | float]) -> str:
-    sigmas_mm = [1e3 * float(row[f"sigma_{axis}_m"]) for axis in "xyz"]
-    sigmas_deg = [float(row[f"sigma_about_{axis}_deg"]) for axis in "xyz"]
+def _sigmas(placement: LidarPlacement) -> tuple[float, float]:
+    """Return the standard deviations (mm, deg) in the weakest directions; NaN where they are not known."""
+    if placement.covariance is None:
+        return float("nan"), float("nan")
+    sigma_m, sigma_rad = weakest_deviations(placement.covariance)
+    return 1e3 * sigma_m, degrees(sigma_rad)
+
+
+def _html_rows(row: Mapping[str, str | float], sigmas: tuple[float, float]) -> str:
     known = row["status"] != "target"
     cells = (
         *(_number(float(row[name]), 3) for name in ("x_m", "y_m", "z_m")),
         *(_number(float(row[name]), 2) for name in ("roll_deg", "pitch_deg", "yaw_deg")),
-        _number(max(sigmas_mm), 1) if known else _UNKNOWN,
-        _number(max(sigmas_deg), 3) if known else _UNKNOWN,
+        _number(sigmas[0], 1) if known else _UNKNOWN,
+        _number(sigmas[1], 3) if known else _UNKNOWN,
         _number(float(row["fitness"]), 3),
     )
     status = str(row["status"]).replace("_", " ")

@@ -102,7 +102,9 @@ class LidarEntry(Entry):
     quaternion_xyzw: Quaternion | None = Field(description="Rotation as a unit quaternion, w last.")
     fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
-    sigma_xyz_m: Vector3 | None = Field(description="Standard deviation along the axes of the target.")
+    sigma_xyz_m: Vector3 | None = Field(
+        description="Standard deviation along the axes of the target. Tables show that of the weakest direction."
+    )
     sigma_rotation_deg: Vector3 | None = Field(description="Standard deviation about the axes of the target.")
     repeatability_xyz_m: Vector3 | None = Field(
         None,
@@ -126,6 +128,17 @@ class LidarEntry(Entry):
         description="True if only objects of the size of vehicles and people hold an `uncertain` pose in some "
         "direction: they moved, or one frame cannot tell whether they did.",
     )
+
+    @property
+    def largest_sigmas(self) -> tuple[float, float] | None:
+        """The standard deviations of position (m) and rotation (deg) in their weakest directions, as limits test them.
+
+        None without a covariance.
+        """
+        if self.covariance is None:
+            return None
+        (sigma_m, _), (sigma_deg, _) = self.weakest_directions()
+        return sigma_m, sigma_deg
 
     def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:
         """Return the largest standard deviations of position (m) and rotation (deg), each with its main axis.

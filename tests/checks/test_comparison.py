@@ -214,6 +214,54 @@ def test_own_tolerances_count():
     assert tolerances.of("rear") == Tolerance(translation_m=0.06, rotation_deg=0.3)
 
 
+def own(**translations_m):
+    return RigTolerances.model_validate({"lidars": {name: {"translation_m": m} for name, m in translations_m.items()}})
+
+
+def shifted(*lidars, by_m=0.025):
+    return dict.fromkeys(lidars, ((by_m, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("lidar", ["front", "left", "rear", "top"])
+def test_a_strict_tolerance_counts_for_any_lidar(lidar):
+    check = checked(run_with(shifted(lidar)), own(**{lidar: 0.01}))
+    assert (check.moved, check.notes) == ((lidar,), (PLAIN,))
+    (found,) = (each for each in check.lidars if each.lidar == lidar)
+    assert found.max_translation_m == 0.01
+    assert checked(run_with(shifted(lidar))).verdict == "within"
+
+
+@pytest.mark.parametrize("strict", ["top", "rear"])
+def test_of_two_lidars_the_strict_tolerance_counts(strict):
+    run, two = run_with(shifted("rear"), without=("front", "left")), Extrinsics("top", {"rear": POSES["rear"]})
+    check = checked(run, own(**{strict: 0.01}), reference=two)
+    assert (check.verdict, check.lidars[0].lidar) == ("outside", strict)
+    assert "so the one that moved is unknown" in check.notes[0]
+    both = checked(run, own(top=0.02, rear=0.03), reference=two)
+    assert (both.moved, both.lidars[0].max_translation_m) == (("rear",), 0.02)
+
+
+@pytest.mark.parametrize("loose", ["top", "rear"])
+def test_of_two_lidars_a_loose_tolerance_counts(loose):
+    run, two = run_with(shifted(loose, by_m=0.04), without=("front", "left")), {"rear": POSES["rear"]}
+    check = checked(run, own(**{loose: 0.05}), reference=Extrinsics("top", two))
+    assert (check.verdict, check.notes[1:]) == ("within", ("the reference has no pose of front and left",))
+
+
+def test_a_loose_lidar_agrees_where_all_have_own_tolerances():
+    own_of_all = own(top=0.02, front=0.02, left=0.02, rear=0.05)
+    assert checked(run_with(shifted("rear", by_m=0.04)), own_of_all).verdict == "within"
+    assert checked(run_with(shifted("rear", by_m=0.06)), own_of_all).moved == ("rear",)
+
+
+def test_strict_lidars_that_move_together_are_not_hidden():
+    half = own(top=0.01, front=0.01, left=0.03, rear=0.03)
+    shift = {name: (tuple(pose.rotation.T @ (0.025, 0.0, 0.0)), (0.0, 0.0, 0.0)) for name, pose in POSES.items()}
+    check = checked(run_with({name: shift[name] for name in ("left", "rear")}), half)
+    assert (check.root, check.moved) == ("top", ("left", "rear"))
+    assert "so the one that moved is unknown" in check.notes[0]
+
+
 def test_names_that_do_not_fit_are_refused():
     with pytest.raises(UsageError, match="have 0 LiDAR\\(s\\) in common"):
         checked(run_with(), reference=Extrinsics("a", {"b": POSES["rear"]}))

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops
+from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops, without_common_view
+from multilica.checks.ci_reports import junit_xml, summary_markdown, word_of
 
 
 def stop(name: str, root: str = "top", **verdicts: str) -> RigCheck:
@@ -31,6 +32,22 @@ def test_the_root_of_a_stop_is_within_there() -> None:
     assert "others are compared to it at one" in checks[1].lidars[0].reason
 
 
+def test_a_stop_that_measured_nothing_says_so() -> None:
+    found = stop("all", front="within")
+    found = found.model_copy(update={"lidars": (found.lidars[0].model_copy(update={"distance_m": 0.01}),)})
+    checks = settle_stops([found, stop("one", front="undecided"), stop("two", "front", top="undecided")])
+    assert [check.verdict for check in checks] == ["within"] * 3
+    assert [check.sentence for check in checks] == [
+        "All 2 LiDARs agree with the reference.",
+        "front was not measured here.",
+        "top was not measured here.",
+    ]
+    assert [word_of(check.lidars[0]) for check in checks] == ["within", "not measured", "not measured"]
+    assert junit_xml(checks, "2026-11-23T03:00:00").count("<skipped />") == 2
+    row = next(line for line in summary_markdown(checks[1:2], "reference").splitlines() if line.startswith("| front"))
+    assert row.startswith("| front | not measured | - | - | - | so it is at all; here: so it is |")
+
+
 def test_what_moved_later_stays_outside() -> None:
     checks = settle_stops([stop("one", left="within"), stop("two", left="outside"), stop("three", left="undecided")])
     assert verdicts_of(checks) == [{"left": "within"}, {"left": "outside"}, {"left": "within"}]
@@ -41,3 +58,17 @@ def test_what_moved_later_stays_outside() -> None:
 def test_what_no_stop_decides_is_undecided() -> None:
     checks = settle_stops([stop("one", left="undecided", right="undecided"), stop("two", left="undecided")])
     assert check_document(checks, "reference").verdict == "undecided"
+
+
+def test_lidars_without_a_common_view_are_left_to_check() -> None:
+    reason = "not placed: it shares too few surfaces with top"
+    checks = [stop("one", left="undecided", right="undecided"), stop("two", left="undecided", right="within")]
+    blind = [
+        check.model_copy(update={"lidars": tuple(each.model_copy(update={"reason": reason}) for each in check.lidars)})
+        for check in checks
+    ]
+    left, right = without_common_view(blind)[0].lidars
+    assert left.reason.startswith(f"{reason}; no stop has a common view, and `multilica check` on the log compares")
+    assert right.reason == reason
+    assert without_common_view(blind[:1]) == (blind[0],)
+    assert without_common_view(checks) == tuple(checks)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from multilica.config import STAGES
@@ -13,6 +14,7 @@ from multilica.diagnosis import CAUSES
 from multilica.diagnosis import explain as explain_document
 from multilica.diagnosis.explanation import PRIOR_ADVICE, cause_of_codes
 from multilica.events import PairRegistered, StageFinished
+from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.results.values import OPEN_POSE
 from tests.sinks.made_documents import made_document, parsed
@@ -57,12 +59,17 @@ def set_reasons(document, outcome, *codes):
 
 def test_complete_run_has_headline_and_sigmas():
     document = made_document("complete")
-    document["lidars"]["rear"] |= {"sigma_xyz_m": [0.001, 0.0042, 0.002], "sigma_rotation_deg": [0.01, 0.02, 0.005]}
-    document["lidars"]["front left/1"] |= {"sigma_xyz_m": None, "sigma_rotation_deg": None}
+    turn = np.kron(np.eye(2), RigidTransform.from_xyz_rpy("", "", (0, 0, 0), (0.0, 0.0, np.pi / 4)).rotation)
+    variances = np.square([*np.deg2rad([0.01, 0.02, 0.005]), 0.001, 0.0042, 0.002])  # along axes between x and y
+    document["lidars"]["rear"] |= {"covariance": (turn @ np.diag(variances) @ turn.T).tolist()}
+    document["lidars"]["front left/1"] |= {"covariance": None}
     told = explain(document)
     assert told.headline == "All 3 LiDARs are placed. The target is top."
     assert (told.missing, told.warnings, told.cause) == ((), (), None)
-    assert [(one.lidar, one.sigma_m) for one in told.placed] == [("front left/1", None), ("rear", 0.0042)]
+    assert [(one.lidar, one.sigma_m) for one in told.placed] == [
+        ("front left/1", None),
+        ("rear", pytest.approx(0.0042)),
+    ]
     assert told.placed[1].sentence == "rear is placed relative to top: sigma 4.2 mm, 0.020 deg."
     assert "no uncertainty available" in told.placed[0].sentence
 

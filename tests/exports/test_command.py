@@ -18,6 +18,7 @@ from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica.exports.files import rig_of_run
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import FloatArray
+from multilica.runs.run_documents import read_run_document
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.exports.made_rigs import made_run, name_frames
@@ -71,6 +72,20 @@ def test_toml_has_covariances_and_biases(invoke: Invoke) -> None:
     assert (known.target, {*known.covariances}) == ("front", {"left", "rear"})
 
 
+def test_toml_in_the_frame_of_a_lidar_has_covariances(invoke: Invoke) -> None:
+    run = made_run(Path("run"), sigmas=(0.01, 0.002))
+    assert invoke("export", run, "--to", "toml", "--out", "rig.toml", "--base", "left").err == ""
+    found, known = read_extrinsics("rig.toml"), rig_of_run(read_run_document(run).document)[0]
+    for name in ("front", "rear"):
+        expected = known.covariance_between("left", name)
+        np.testing.assert_allclose(found.covariance_between("left", name), expected, rtol=1e-9, atol=1e-18)
+    document = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    document["lidars"]["left"]["covariance"] = None
+    (run / "result.json").write_text(json.dumps(document), encoding="utf-8")
+    outcome = invoke("export", run, "--to", "toml", "--out", "rig.toml", "--base", "left")
+    assert outcome.err == "multilica: Without the covariance of rear, as the run has none of left.\n"
+
+
 def test_every_format_is_in_the_help(invoke: Invoke) -> None:
     text = " ".join(invoke("export", "--help").out.replace("│", " ").split())
     assert [name for name in (*FORMATS, *CLOUD_FORMATS) if name not in text] == []
@@ -91,6 +106,12 @@ def test_uncertain_lidars_are_exported_when_asked_for(invoke: Invoke) -> None:
     outcome = invoke("export", run, "--to", "csv", "--out", "rig.csv", "--with-uncertain")
     assert (outcome.code, outcome.err) == (ExitCode.NOT_PLACED, "multilica: With left, rear, which are uncertain.\n")
     assert_pose("rig.csv", "front", "rear", truth("front", "rear"))
+
+
+def test_one_uncertain_lidar_is_told_as_one(invoke: Invoke) -> None:
+    run = made_run(Path("run"), uncertain=True, absent=["left"])
+    outcome = invoke("export", run, "--to", "csv", "--out", "rig.csv", "--with-uncertain")
+    assert outcome.err == "multilica: Without left (not placed).\nmultilica: With rear, which is uncertain.\n"
 
 
 def test_an_uncertain_base_is_exported_when_asked_for() -> None:

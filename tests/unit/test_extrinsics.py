@@ -84,7 +84,19 @@ def test_covariances_between_lidars_do_not_depend_on_the_frame():
     np.testing.assert_array_equal(in_base.covariances["top"], np.zeros((6, 6)))
     for pair in (("top", "left"), ("left", "top"), ("left", "rear")):
         np.testing.assert_allclose(in_base.covariance_between(*pair), rig.covariance_between(*pair), atol=1e-15)
-    assert rig.seen_from(left.inverse()).covariances == {}
+
+
+def test_a_lidar_as_the_base_keeps_the_covariances():
+    left = RigidTransform.from_xyz_rpy("top", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
+    rear = RigidTransform.from_xyz_rpy("top", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
+    rig = Extrinsics("top", {"left": left, "rear": rear}, covariances={"left": _covariance(1), "rear": _covariance(2)})
+    from_left = rig.seen_from(left.inverse())
+    assert {*from_left.covariances} == {"rear", "top"}
+    for name in ("rear", "top"):
+        expected = rig.covariance_between("left", name)
+        np.testing.assert_allclose(from_left.covariance_between("left", name), expected, atol=1e-15)
+    bare = Extrinsics("top", {"left": left, "rear": rear}, covariances={"rear": _covariance(2)})
+    assert bare.seen_from(left.inverse()).covariances == {}
 
 
 def test_covariances_between_lidars_are_of_both_motions():

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from math import degrees
@@ -242,7 +241,7 @@ def print_placements(document: ResultDocument, console: Console) -> None:
         scores: tuple[str, ...] = ("-",) * 3
         if entry.xyz_m is not None and not is_target:
             fitness = number_cells((entry.fitness,), 1.0, 3)
-            scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), *fitness)
+            scores = (*size_cells(*(entry.largest_sigmas or (None, None))), *fitness)
         cells = (name, status, *pose_cells(entry), *scores)
         if prior:
             compared = None if is_target else entry.prior
@@ -269,8 +268,6 @@ def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
 
 def _spread(spread: Spread | None) -> tuple[str, ...]:
     """Return the standard deviations over the snapshots of the worst axes, and the number of snapshots."""
-    return ("-", "-", "-") if spread is None else (*_largest(spread.xyz_m, spread.rotation_deg), str(spread.snapshots))
-
-
-def _largest(xyz_m: Iterable[float] | None, rotation_deg: Iterable[float] | None) -> tuple[str, ...]:
-    return size_cells(*(None if values is None else max(values) for values in (xyz_m, rotation_deg)))
+    if spread is None or spread.xyz_m is None or spread.rotation_deg is None:
+        return ("-", "-", "-" if spread is None else str(spread.snapshots))
+    return (*size_cells(max(spread.xyz_m), max(spread.rotation_deg)), str(spread.snapshots))

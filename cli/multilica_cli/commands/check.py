@@ -218,7 +218,7 @@ def verify(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import absent_lidars, read_reference, verify_stops, with_absent
+    from multilica.checks import absent_lidars, read_reference, verify_stops, with_absent, without_common_view
     from multilica.ingest import frames_recorded, read_drive
     from multilica.ingest.locate import locate
     from multilica.orchestration.state import deadline_of
@@ -230,7 +230,7 @@ def verify(
     snapshots = read_drive(files, config.drive.stops, config=config.ingest)
     frame_ids = {lidar.name: lidar.frame_id for snapshot in snapshots for lidar in snapshot.lidars}
     known, absent = read_reference(calibration, frame_ids), absent_lidars(calibration, frame_ids)
-    checks = verify_stops(snapshots, known, limits.without(absent), config, deadline_s)
+    checks = without_common_view(verify_stops(snapshots, known, limits.without(absent), config, deadline_s))
     found = [with_absent(each, absent, limits, chosen=config.ingest.chooses_topics) for each in checks]
     return _finish(found, calibration, gate, quiet=quiet, as_json=as_json)
 
@@ -294,7 +294,7 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
 
 def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
     """Print a table per rig, the reasons of what is not within, and the outcome."""
-    from multilica.checks.ci_reports import VERDICT_WORDS
+    from multilica.checks.ci_reports import word_of
 
     for rig in checks:
         table = FoldingTable(f"compared to {rig.root}: {rig.name}", _COLUMNS, numbers_from=2, keys=2)
@@ -302,10 +302,10 @@ def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: C
             lengths = number_cells((each.distance_m, each.sigma_m), 1000.0, 1)
             angles = number_cells((each.angle_deg, each.sigma_deg), 1.0, 3)
             limits = f"{1000.0 * each.max_translation_m:g}", f"{each.max_rotation_deg:g}"
-            table.add_row(VERDICT_WORDS[each.verdict], each.lidar, *lengths, limits[0], *angles, limits[1])
+            table.add_row(word_of(each), each.lidar, *lengths, limits[0], *angles, limits[1])
         console.print(table)
         for each in rig.lidars:
-            if each.verdict != "within":
+            if each.verdict != "within" or each.elsewhere:
                 console.print(f"LiDAR {each.lidar}: {each.reason}")
         for note in rig.notes:
             console.print(f"note: {note}")

@@ -310,5 +310,8 @@ def export(
         listed = ", ".join(f"{name} ({status.replace('_', ' ')})" for name, status in done.missing.items())
         told.print(f"multilica: Without {listed}.")
     if done.uncertain:
-        told.print(f"multilica: With {', '.join(done.uncertain)}, which are uncertain.")
+        which = "which is" if len(done.uncertain) == 1 else "which are"
+        told.print(f"multilica: With {', '.join(done.uncertain)}, {which} uncertain.")
+    if lost := ", ".join(done.without_covariance):
+        told.print(f"multilica: Without the covariance of {lost}, as the run has none of {done.base}.")
     return ExitCode.DONE if done.complete else ExitCode.NOT_PLACED

@@ -248,8 +248,8 @@ def _placement_row(name: str, entry: LidarEntry) -> Sequence[str]:
         return (f"{name} (**not placed**)", *("-",) * 8)
     numbers = (*(f"{value:z.3f}" for value in entry.xyz_m), *(f"{value:z.2f}" for value in entry.rpy_deg))
     sigmas = ("-", "-")
-    if entry.sigma_xyz_m is not None and entry.sigma_rotation_deg is not None:
-        sigmas = (f"{1e3 * max(entry.sigma_xyz_m):.1f}", f"{max(entry.sigma_rotation_deg):.3f}")
+    if (largest := entry.largest_sigmas) is not None:
+        sigmas = (f"{1e3 * largest[0]:.1f}", f"{largest[1]:.3f}")
     return (f"{name} (**uncertain**)" if entry.status == "uncertain" else name, *numbers, *sigmas)
 
 

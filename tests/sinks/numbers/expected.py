@@ -23,11 +23,11 @@ def pose_columns(lidar: str) -> dict[str, float]:
 
 
 def placement_columns(lidar: str) -> dict[str, float]:
-    """Of a LiDAR with a pose; sigma is that of the worst axis."""
+    """Of a LiDAR with a pose; sigma is that of the weakest direction."""
     return {
         **pose_columns(lidar),
-        "sigma m": max(made.SIGMA_MM[lidar]) / 1000.0,
-        "sigma deg": max(made.SIGMA_DEG[lidar]),
+        "sigma m": np.sqrt(np.linalg.eigvalsh(made.covariance_of(lidar)[3:, 3:])[-1]),
+        "sigma deg": np.degrees(np.sqrt(np.linalg.eigvalsh(made.covariance_of(lidar)[:3, :3])[-1])),
         "fitness": made.POSE_FITNESS[lidar],
     }
 
