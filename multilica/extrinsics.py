@@ -22,6 +22,7 @@ from multilica.errors import InputError, SourceNotFoundError, UnknownNameError, 
 from multilica.geometry import FloatArray, RigidTransform, skew
 
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
+_NORM_TOLERANCE = 0.01
 Number = Annotated[float, Strict(), AfterValidator(require_length)]
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
@@ -136,9 +137,16 @@ class PoseTable(BaseModel):
         """
         if self.T_target_source is not None:
             return RigidTransform(target, lidar, np.asarray(self.T_target_source))
+        if self.xyz_m is not None and self.rpy_deg is None and self.quaternion_xyzw is not None:
+            length = float(np.linalg.norm(self.quaternion_xyzw))
+            if not abs(length - 1.0) < _NORM_TOLERANCE:
+                raise ValueError(f"it has a 'quaternion_xyzw' of length {length:.3g}; expected 1")
+            return RigidTransform.from_xyz_quaternion(target, lidar, self.xyz_m, self.quaternion_xyzw)
         if self.xyz_m is None or self.rpy_deg is None:
             missing = "xyz_m" if self.xyz_m is None else "rpy_deg"
-            raise ValueError(f"it has no '{missing}'; expected T_target_source, or xyz_m and rpy_deg")
+            raise ValueError(
+                f"it has no '{missing}'; expected T_target_source, or xyz_m with rpy_deg or quaternion_xyzw"
+            )
         return RigidTransform.from_xyz_rpy(target, lidar, self.xyz_m, np.deg2rad(self.rpy_deg).tolist())
 
 

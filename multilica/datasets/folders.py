@@ -86,7 +86,7 @@ def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
 
     Raises:
         SourceNotFoundError: the path does not exist.
-        InputError: it holds no scene, or one of them cannot be read.
+        InputError: it holds no scene, none with a LiDAR of the truth, or one that cannot be read.
     """
     if not path.is_dir():
         raise SourceNotFoundError(
@@ -96,6 +96,13 @@ def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
     if not folders:
         raise InputError(f"{path} holds no scene; expected a PCD file per LiDAR, such as top.pcd, or folders of them.")
     given = None if request.truth is None else read_truth(request.truth)
+    known = (AGREED if given is None else given).members
+    if not any(_lidar_of(file) in known for folder in folders for file in folder.glob("*.pcd")):
+        whose = "data set" if given is None else "truth"
+        raise InputError(
+            f"{path} holds no scene with a LiDAR of the {whose} ({', '.join(sorted(known))}); expected a PCD file per "
+            "LiDAR of that name, such as top.pcd."
+        )
     for folder in folders[: request.scenes]:
         files = _files(folder)
         read = read_snapshot(list(files.values()))
@@ -103,7 +110,11 @@ def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
         lidars = [LidarScans(name, by_stem[file.stem].scans) for name, file in files.items()]
         snapshot = Snapshot(tuple(lidars), str(folder), read.source_sha256, notes=read.notes)
         truth = given or (AGREED if AGREED.members <= {*snapshot.names} else None)
-        yield DatasetScene(folder.name, snapshot, truth, _TARGET if _TARGET in snapshot.names else "")
+        yield DatasetScene(folder.resolve().name, snapshot, truth, _TARGET if _TARGET in snapshot.names else "")
+
+
+def _lidar_of(file: Path) -> str:
+    return file.stem.partition("-")[0]
 
 
 def _files(folder: Path) -> Mapping[str, Path]:
@@ -117,7 +128,7 @@ def _files(folder: Path) -> Mapping[str, Path]:
             raise UnreadableSourceError(f"{index} {what}; expected 'device_id: N' and 'path: FILE' per LiDAR.")
     else:
         paths = sorted(folder.glob("*.pcd"))
-    files = {file.stem.partition("-")[0]: file for file in paths}
+    files = {_lidar_of(file): file for file in paths}
     if len(files) < len(paths):
         raise InputError(f"{folder} has several files of one LiDAR ({', '.join(file.name for file in paths)}).")
     return files

@@ -17,6 +17,7 @@ from multilica.errors import (
     UnknownNameError,
     UnreadableSourceError,
     UsageError,
+    listed,
 )
 from multilica.exports.formats import CLOUD_FORMATS, FORMATS, ExchangeFormat, format_named
 from multilica.exports.ros_launch import EXECUTABLE
@@ -224,7 +225,9 @@ def rig_of_run(
     """
     wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
     if not {*wanted} - {document.target}:
-        raise InputError("The run has no placed LiDAR besides the target, so there is nothing to export.")
+        left_out = [name for name in document.poses if document.lidars[name].status == "uncertain"]
+        more = f" without --with-uncertain, which adds {listed(left_out)}" if left_out and not with_uncertain else ""
+        raise InputError(f"The run has no placed LiDAR besides the target, so there is nothing to export{more}.")
     named = {name: name for name in wanted} if frames == "names" else _frames_by_id(document, wanted)
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}

@@ -78,6 +78,13 @@ def recording_of_run(path: Path) -> Path:
     return recording
 
 
+def first_part_of(path: Path) -> Path | None:
+    """Return the run of the first snapshot of a joint run that has one; None if the run is of one snapshot."""
+    folder = path if path.is_dir() else path.parent
+    parts = (folder / snapshot.name for snapshot in read_run_document(path).document.snapshots)
+    return next((part for part in parts if part.is_dir()), None)
+
+
 def picture_of_run(path: Path, size_px: tuple[int, int]) -> bytes:
     """Draw the first view of a run directory or a recording as PNG of that width and height, without a screen.
 

@@ -41,10 +41,28 @@ def test_a_given_truth_wins(tmp_path: Path) -> None:
 
 
 def test_other_lidars_have_no_truth(tmp_path: Path) -> None:
-    for name in ("p64", "qt"):
+    for name in ("left", "qt"):
         write_pcd(tmp_path / f"{name}.pcd", POINT)
     (scene,) = read_opencalib(tmp_path, SceneRequest())
-    assert (scene.target, scene.truth, scene.snapshot.names) == ("", None, ("p64", "qt"))
+    assert (scene.target, scene.truth, scene.snapshot.names) == ("", None, ("left", "qt"))
+
+
+def test_a_scene_here_has_the_name_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "0001").mkdir()
+    write_pcd(tmp_path / "0001" / "top.pcd", POINT)
+    write_pcd(tmp_path / "0001" / "left.pcd", POINT)
+    monkeypatch.chdir(tmp_path / "0001")
+    (scene,) = read_opencalib(Path(), SceneRequest())
+    assert scene.name == "0001"
+
+
+def test_a_folder_of_other_lidars_is_refused(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_pcd(tmp_path / f"{name}.pcd", POINT)
+    with pytest.raises(
+        InputError, match=r"no scene with a LiDAR of the data set \(left, right, top\); .* such as top.pcd"
+    ):
+        list(read_opencalib(tmp_path, SceneRequest()))
 
 
 def test_only_listed_files_are_read(tmp_path: Path) -> None:

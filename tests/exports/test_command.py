@@ -101,7 +101,9 @@ def test_what_is_not_placed_is_told(invoke: Invoke) -> None:
 
 def test_uncertain_lidars_are_exported_when_asked_for(invoke: Invoke) -> None:
     run = made_run(Path("run"), uncertain=True)
-    assert_one_sentence(invoke("export", run, "--to", "csv", "--out", "rig.csv"), ExitCode.INPUT)
+    refused = invoke("export", run, "--to", "csv", "--out", "rig.csv")
+    assert_one_sentence(refused, ExitCode.INPUT)
+    assert "nothing to export without --with-uncertain, which adds left, rear." in " ".join(refused.err.split())
     assert not Path("rig.csv").exists()
     outcome = invoke("export", run, "--to", "csv", "--out", "rig.csv", "--with-uncertain")
     assert (outcome.code, outcome.err) == (ExitCode.NOT_PLACED, "multilica: With left, rear, which are uncertain.\n")

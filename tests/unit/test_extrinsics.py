@@ -24,10 +24,21 @@ def test_position_and_angles_are_enough(tmp_path):
     )
 
 
+def test_a_quaternion_replaces_the_angles(tmp_path):
+    path = tmp_path / "drawing.toml"
+    expected = RigidTransform.from_xyz_rpy("base", "left", [0.1, 0.6, 1.7], [0.0, np.pi / 4, -np.pi / 2])
+    path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nquaternion_xyzw = {expected.quaternion_xyzw.tolist()}\n")
+    found = read_extrinsics_table(path).T_target_source["left"]
+    np.testing.assert_allclose(found.matrix, expected.matrix, atol=1e-12)
+    path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nquaternion_xyzw = [0.0, 0.0, 1.0, 1.0]\n")
+    with pytest.raises(UnreadableSourceError, match=r"'quaternion_xyzw' of length 1\.41; expected 1"):
+        read_extrinsics_table(path)
+
+
 @pytest.mark.parametrize(
     ("pose", "complaint"),
     [
-        ("xyz_m = [0.1, 0.6, 1.7]", "it has no 'rpy_deg'; expected T_target_source, or xyz_m and rpy_deg"),
+        ("xyz_m = [0.1, 0.6, 1.7]", "it has no 'rpy_deg'; expected T_target_source, or xyz_m with rpy_deg or "),
         ("rpy_deg = [0, 45, -90]", "it has no 'xyz_m'"),
         ("xyz_m = [0.1, 0.6]\nrpy_deg = [0, 45, -90]", "is not a table of extrinsics"),
         ('xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = "up"', "is not a table of extrinsics"),

@@ -24,7 +24,10 @@ fleet = options.App(
     short_help="Turn many logs into one table of extrinsics over time.",
 )
 
-_Format = Annotated[Literal["table", "csv", "json"], option("--format table|csv|json", "Form of the answer.")]
+_Format = Annotated[
+    Literal["table", "csv", "json"],
+    option("--format table|csv|json", "Form of the answer; json: an object per line."),
+]
 
 _Nominal = Annotated[
     Path | None,

@@ -198,11 +198,14 @@ def query(
         raise UsageError("--format parquet needs a file; add --out FILE.")
     from pyarrow.parquet import write_table
 
-    from multilica.runs.run_report import recording_of_run
+    from multilica.runs.run_report import first_part_of, recording_of_run
     from multilica.sinks.files.atomic import atomic_file
     from multilica.sinks.rerun.reading import read_recorded_table
 
     found = read_recorded_table(recording_of_run(run), table)
+    if found.num_rows == 0 and (part := first_part_of(run)) is not None:
+        told = f"{run} joins snapshots, each with its own {table}; see `multilica query {part} {table}`"
+        stderr_console().print(f"multilica: {told}.")
     rows = zip(*(column.to_pylist() for column in found.columns), strict=True)
     lines = () if form == "parquet" else answer_lines(found.column_names, rows, form)
     if out is None:

@@ -152,7 +152,7 @@ def _of_pairs(path: Path, parts: Sequence[str], columns: Sequence[str]) -> pa.Ta
     keys: list[PairKey] = list(zip(pairs["target"].to_pylist(), pairs["source"].to_pylist(), strict=True))
     found = read_batches(path, [pair_path(*key, *parts) for key in keys])
     tables = [_pair_table(key, _latest_cells(found[pair_path(*key, *parts)]), columns) for key in keys]
-    return pa.concat_tables(tables) if tables else pa.table({})
+    return pa.concat_tables(tables or [_pair_table(("", ""), {}, columns)])  # a header without pairs too
 
 
 def _pair_table(pair: PairKey, cells: Mapping[str, Any], columns: Sequence[str]) -> pa.Table:

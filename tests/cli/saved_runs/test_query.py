@@ -10,8 +10,11 @@ import json
 import pyarrow.parquet as pq
 import pytest
 
+from multilica.sinks.rerun.recording import RerunRecording
+from tests.runs.made_runs import write_run
 from tests.selection import some_of
 from tests.sinks.conftest import record
+from tests.sinks.made_events import made_events
 
 _PAIRS = [("front left/1", "rear"), ("front left/1", "top"), ("rear", "top")]
 
@@ -20,6 +23,20 @@ _PAIRS = [("front left/1", "rear"), ("front left/1", "top"), ("rear", "top")]
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     record(folder / "recording.rrd", "partial")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory):
+    """A run of several snapshots, whose recording has no pairs of its own."""
+    folder = write_run(tmp_path_factory.mktemp("joint") / "run", {"left": None})
+    document = json.loads((folder / "result.json").read_text())
+    document["snapshots"] = [{"name": "stop_1", "source": "drive.mcap", "sha256": ""}]
+    (folder / "result.json").write_text(json.dumps(document))
+    (folder / "stop_1").mkdir()
+    with RerunRecording(folder / "recording.rrd") as observe:
+        for event in list(made_events())[:8]:
+            observe(event)
     return folder
 
 
@@ -64,6 +81,15 @@ def test_the_rows_go_to_a_file(invoke, run, tmp_path):
     assert (tmp_path / "merge.csv").read_text() == invoke("query", run / "recording.rrd", "merge").out
     assert invoke("query", run / "recording.rrd", "merge", "--out", tmp_path / "merge.parquet").code == 0
     assert (tmp_path / "merge.parquet").read_bytes().startswith(b"PAR1")
+
+
+@pytest.mark.parametrize("table", ["matches", "surfaces", "merge"])
+def test_a_joint_run_names_the_run_of_a_snapshot(invoke, joint, table):
+    done = invoke("query", joint, table)
+    assert (done.code, len(done.out.splitlines())) == (0, 1)
+    assert done.out.startswith("merge_step," if table == "merge" else "target,source,")
+    part = f"multilica query {joint}/stop_1 {table}"
+    assert part in " ".join(done.err.split())
 
 
 @pytest.mark.parametrize(
