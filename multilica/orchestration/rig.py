@@ -145,7 +145,9 @@ def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairR
     """Search the pose of a single LiDAR in the merged cloud of a group, without an initial guess."""
     if group.members not in state.merged_lidars:
         points_m = state.points_of(group.poses)
-        cloud = PreprocessedCloud(group.root, np.empty((0, 3), dtype=np.float32), points_m)
+        elevation_axis = state.clouds[group.root].elevation_axis
+        no_returns = np.empty((0, 3), dtype=np.float32)
+        cloud = PreprocessedCloud(group.root, no_returns, points_m, elevation_axis=elevation_axis)
         state.merged_lidars[group.members] = prepare_lidar(cloud, state.config)
     lidars = {group.root: state.merged_lidars[group.members], other.root: state.lidars[other.root]}
     pair = group.root, other.root

@@ -141,7 +141,8 @@ class CalibrationState:
         if len(poses) == 1:
             return self.lidars[root].side
         views = [(pose, view) for name, pose in sorted(poses.items()) if (view := self.lidars[name].view) is not None]
-        return prepare_registration_cloud(root, self.points_of(poses), views, self.config)
+        elevation_axis = self.clouds[root].elevation_axis
+        return prepare_registration_cloud(root, self.points_of(poses), views, self.config, elevation_axis)
 
     def _scored(self, pose: RigidTransform, known: _Scores, tolerances: tuple[float, float]) -> Registration:
         key = pose.target, pose.source, pose.matrix.tobytes()
