@@ -206,7 +206,7 @@ def _within_reach(
         near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
     if len(near) > _WORTH_CROPPING * len(source.points_m):
         return source
-    return prepare_gicp_cloud(source.name, source.points_m[near], config, source.elevation_axis)
+    return prepare_gicp_cloud(source.name, source.points_m[near], config)
 
 
 def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:

@@ -88,6 +88,16 @@ def test_real_clouds_joined_in_the_frame_of_one(rig: Snapshot) -> None:
     assert JOINED in merged_topics(clouds_of(*lidars, replace(own_frame, scans=scans)))
 
 
+def test_parts_that_were_moved_apart_are_no_rigid_copy(rig: Snapshot) -> None:
+    """From one point to the next, all distances but one are as before."""
+    points_m = rig.lidars[0].scans[0].points_m
+    halves = [moved(index).apply(half) for index, half in enumerate(np.array_split(points_m, 2))]
+    for parts, held in ((halves, {}), ((moved(1).apply(points_m),), {"/joined": ["/one"]})):
+        longer_m = np.concatenate([*parts, parts[0]]).astype(np.float32)
+        clouds = {"/one": [Cloud(Scan(points_m))], "/joined": [Cloud(Scan(longer_m))]}
+        assert merged_topics(clouds) == held
+
+
 def test_a_part_of_a_cloud_makes_the_whole_no_joined_one(rig: Snapshot) -> None:
     first = rig.lidars[0]
     near = tuple(

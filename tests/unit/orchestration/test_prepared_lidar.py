@@ -2,13 +2,15 @@
 """A prepared LiDAR is copied to workers without what it builds on first use."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.orchestration.pairs import prepare_lidar, register_sides
+from multilica.orchestration.pairs import PreparedLidar, prepare_lidar, register_sides
+from multilica.registration.fixed_pair import PartlyFixedCloud
 from multilica.results import Hypothesis
 from multilica.visibility.sensor_view import score_pose
 from tests.unit.made_rooms import HALL, scan
@@ -60,6 +62,17 @@ def test_a_copy_builds_its_sides_itself(lidars):
     (copy,) = _copied([lidar])
     assert "side" not in vars(copy)
     assert copy.features_at(0.5).descriptors.tobytes() == lidar.features_at(0.5).descriptors.tobytes()
+
+
+def test_all_clouds_have_the_axis_of_the_lidar(lidars):
+    axis = np.array([0.0, 0.6, 0.8])
+    lidar = PreparedLidar(replace(lidars[0].cloud, elevation_axis=axis), lidars[0].features, lidars[0].view, _CONFIG)
+    (copy,) = _copied([lidar])
+    thinned = replace(copy.side, finalist_gicp=_CONFIG.fine.model_copy(update={"max_points": 500})).thinned
+    movable = PartlyFixedCloud(copy.side.cloud, np.arange(len(copy.side.cloud.points_m)) % 2 == 0, _CONFIG.fine)
+    for cloud in (copy.side.cloud, copy.verification_cloud.cloud, thinned, movable.fixed, movable.few):
+        assert np.array_equal(cloud.elevation_axis, axis)
+        assert np.array_equal(pickle.loads(pickle.dumps(cloud)).elevation_axis, axis)  # noqa: S301
 
 
 def test_the_usual_descriptors_are_not_computed_again(lidars):

@@ -36,6 +36,13 @@ def test_the_axis_of_a_rosette_is_one_of_the_frame():
         assert axis[turns] == 0.0, "the LiDAR looks along x, which is there now"
 
 
+def test_the_line_of_sight_of_a_narrow_rosette_is_no_axis():
+    """All its steps are nearly across the way ahead."""
+    rng = np.random.default_rng(0)
+    beams = np.column_stack([np.ones(5000), *rng.uniform(-0.05, 0.05, (2, 5000))])
+    assert find_elevation_axis(20.0 * beams)[0] == 0.0
+
+
 @pytest.mark.skipif(not DATA.is_dir(), reason=MISSING)
 def test_the_axis_of_real_scans_is_found():
     for name, points_m in read_clouds().items():

@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.config import StillnessConfig
+from multilica.config import PreprocessConfig, StillnessConfig
 from multilica.geometry import Z_AXIS, FloatArray, RigidTransform
-from multilica.snapshot import Scan
+from multilica.snapshot import LidarScans, Scan
 from multilica.stages import stillness
-from multilica.stages.preprocess import _grid, drop_moving
+from multilica.stages.preprocess import _grid, drop_moving, preprocess
 from multilica.stages.stillness import Motion, Structure, detect_motion, explain_motion, whole_frames
 
 _ROOM_M = (9.0, 6.0, 4.0)
@@ -256,10 +256,12 @@ def test_any_axis_may_be_up(turns: int) -> None:
     ahead = [_ahead(scan) for scan in _drive(_ROOM_M, 0.0)]
     visited = [_with_visitor(scan, 25.0 * frame - 50.0)[0] for frame, scan in enumerate(ahead)]
     rolled = [Scan(np.roll(scan.points_m, turns, axis=1)) for scan in visited]
-    _, dropped_m = drop_moving(visited, _CONFIG)
-    _, rolled_m = drop_moving(rolled, _CONFIG, np.roll(Z_AXIS, turns))
-    assert len(dropped_m) > 100
-    np.testing.assert_array_equal(np.roll(dropped_m, turns, axis=1), rolled_m)
+    upright, other = (
+        preprocess(LidarScans("top", tuple(scans)), PreprocessConfig(), _CONFIG) for scans in (visited, rolled)
+    )
+    assert np.array_equal(other.elevation_axis, np.roll(Z_AXIS, turns))
+    assert len(upright.dropped_m["moving"]) > 100
+    np.testing.assert_array_equal(np.roll(upright.dropped_m["moving"], turns, axis=1), other.dropped_m["moving"])
 
 
 def test_cells_of_directions_are_as_wide_as_they_are_high():
