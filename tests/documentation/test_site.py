@@ -61,7 +61,7 @@ def test_pages_ask_no_host_and_fit_the_screen(site: Path, browser: Browser, widt
         page.on("request", lambda request: asked.append(request.url))
         for name in SHOWN:
             page.goto((site / f"{name}.html").as_uri())
-            page.wait_for_load_state("networkidle")
+            page.evaluate("document.fonts.ready.then(() => true)")
             beyond = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
             assert beyond <= 0, f"{name} is {beyond} px too wide"
             assert page.evaluate("document.documentElement.dataset.theme") == scheme
