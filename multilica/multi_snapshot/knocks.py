@@ -84,8 +84,10 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
         for each in _motions(root, solution, stops)
         if each.probability <= _PROBABILITY and each.explained >= _LEAST_CHI_SQUARED and each.may_be_knock
     ]
-    told = [each for each in found if each.is_told]
-    if not told:
+    most = max((each.explained for each in found), default=0.0)
+    likely = [each for each in found if each.explained > most - _LIKELIER]
+    told = [each for each in likely if each.is_told]
+    if not told or {each.lidar for each in told} < {each.lidar for each in likely}:
         return None
     best = max(told, key=lambda each: (round(each.explained, 3), each.lidar != root))
     numbers = [
@@ -134,11 +136,18 @@ class _Motion:
 
     @property
     def is_told(self) -> bool:
-        """True if two pairs or more tell the pose of the LiDAR on either side: alone, one may just be wrong."""
-        return all(
-            sum(name in pair.registration.lidars for pair in self.apart.pairs) > 1
-            for name in (self.lidar, self.lidar + _AFTER)
-        )
+        """True if no single view or pair explains it as well.
+
+        Two pairs or more tell the pose of the LiDAR on either side: alone, one may just be wrong. At one stop only, its
+        pairs share the errors of its view there: if these are half of the variance of each of n pairs, these are worth
+        2 n / (n + 1) that share none.
+        """
+        for name in (self.lidar, self.lidar + _AFTER):
+            views = [view for pair in self.apart.pairs for view in pair.views if view.lidar == name]
+            worth = 2.0 / (len(views) + 1) if len({*views}) == 1 else 1.0
+            if len(views) < 2 or self.explained * worth < _LEAST_CHI_SQUARED:
+                return False
+        return True
 
     @property
     def may_be_knock(self) -> bool:

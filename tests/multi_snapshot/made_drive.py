@@ -3,7 +3,9 @@
 
 import numpy as np
 
+from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.registration.poses import moved
 from multilica.results import DriveView, PairRegistration, ViewPair
 
@@ -57,3 +59,14 @@ def pair(target, source, rng=None, noise=1.0, off=None, stops=STOPS):
 def pairs(text, rng=None, noise=1.0, stops=STOPS):
     """Pairs of views out of a text such as "A1-B3 A2-A3"."""
     return [pair(*each.split("-"), rng, noise, stops=stops) for each in text.split()]
+
+
+def split(every):
+    """Pairs within each stop, and links between stops."""
+    within = {stop: tuple(each.registration for each in every if each.stops == {stop}) for stop in STOPS}
+    return within, [each for each in every if each.is_link]
+
+
+def refined(every, root="A"):
+    """What the pairs tell together."""
+    return refine_linked(root, *split(every), RefineConfig())

@@ -2,39 +2,24 @@
 """Poses of LiDARs and stops out of made registrations of views."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig, RefineConfig
-from multilica.geometry import RigidTransform
-from multilica.multi_snapshot import SnapshotRun, join, knocks
-from multilica.multi_snapshot.knocks import find_knock
+from multilica.multi_snapshot import SnapshotRun, join
 from multilica.multi_snapshot.trusted_links import refine_linked
-from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import CalibrationResult, DriveView, LidarPlacement, LinkedStops, Reason, Verdict
 from multilica.stages.refine import _Share, refine
-from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
-from tests.selection import some_of
+from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs, refined, split
 from tests.unit.derivatives import assert_alike, derivative
 
 _CONFIG = RefineConfig()
 # B is seen by A only across stops, C by A within the first.
 _CROSSED = "A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B2 B1-B2 A1-C1 C1-C2"
-
-
-def _split(every):
-    within = {stop: tuple(each.registration for each in every if each.stops == {stop}) for stop in STOPS}
-    return within, [each for each in every if each.is_link]
-
-
-def _refined(every, root="A", config=_CONFIG):
-    within, links = _split(every)
-    return refine_linked(root, within, links, config)
 
 
 def _errors(found, root="A"):
@@ -48,7 +33,7 @@ def _errors(found, root="A"):
 @pytest.mark.parametrize("text", ["A1-B3 A3-B1 A1-A3 A1-A2 A3-A2 A2-B1", "A1-B1 A1-A2 B1-B2 A2-A3 A1-A3", _CROSSED])
 @pytest.mark.parametrize("root", ["A", "B"])
 def test_exact_pairs_give_exact_lidars_and_stops(text, root):
-    found = _refined(pairs(text), root)
+    found = refined(pairs(text), root)
     assert "B" in found.rig.poses
     assert max(np.abs(error).max() for error in _errors(found, root).values()) < 1e-7
     first = min(found.rig.stops)
@@ -65,7 +50,7 @@ def test_the_covariance_is_that_of_many_noisy_drives():
     rng = np.random.default_rng(0)
     normalised = []
     for _ in range(30):
-        found = _refined(pairs(_CROSSED, rng))
+        found = refined(pairs(_CROSSED, rng))
         for name, error in _errors(found).items():
             normalised.append(error @ np.linalg.solve(found.rig.covariances[name], error))
         for name, covariance in found.rig.stop_covariances.items():
@@ -94,7 +79,7 @@ def test_the_first_stop_may_be_any():
 def test_stops_without_links_are_joined_as_before():
     rng = np.random.default_rng(2)
     within = pairs("A1-B1 A2-B2 B2-C2 A3-C3", rng)
-    found = _refined(within)
+    found = refined(within)
     plain = refine("A", found.rig.poses, [each.registration for each in within], _CONFIG)
     for name in "BC":
         assert np.abs(found.rig.poses[name].matrix - plain.poses[name].matrix).max() < 1e-7
@@ -148,7 +133,7 @@ _ALONE = "A1-A2 A2-A3 A1-A3 A3-A4 A2-A4 B1-B2 B2-B3 B1-B3 B3-B4 B2-B4"
 
 def test_what_no_pair_determines_has_no_pose():
     """The motion of each LiDAR alone, straight on: nothing tells where B is."""
-    found = _refined(pairs(_ALONE, np.random.default_rng(6), stops=STRAIGHT))
+    found = refined(pairs(_ALONE, np.random.default_rng(6), stops=STRAIGHT))
     assert set(found.rig.poses) == {"A"}
     assert set(found.rig.stops) == {*STRAIGHT}
     assert {link.target for link in found.links if not link.used} == {"B"}
@@ -158,7 +143,7 @@ def test_what_no_pair_determines_has_no_pose():
 @pytest.mark.slow
 def test_motions_that_turn_determine_unconnected_lidars():
     """The motion of each LiDAR alone, as in hand-eye calibration."""
-    found = _refined(pairs(_ALONE, np.random.default_rng(6)))
+    found = refined(pairs(_ALONE, np.random.default_rng(6)))
     error = _errors(found)["B"]
     assert error @ np.linalg.solve(found.rig.covariances["B"], error) < 20.0
     assert not found.refused
@@ -167,13 +152,13 @@ def test_motions_that_turn_determine_unconnected_lidars():
 @pytest.mark.slow
 def test_a_crossed_drive_determines_unconnected_lidars():
     """Each LiDAR saw what the other saw, never both at one stop."""
-    found = _refined(pairs("A1-A2 A1-B3 B3-B4 A1-B4 A2-B3 B1-B2 A4-B1 A3-A4 A4-B2", np.random.default_rng(7)))
+    found = refined(pairs("A1-A2 A1-B3 B3-B4 A1-B4 A2-B3 B1-B2 A4-B1 A3-A4 A4-B2", np.random.default_rng(7)))
     error = _errors(found)["B"]
     assert error @ np.linalg.solve(found.rig.covariances["B"], error) < 20.0
 
 
 def test_a_single_link_is_not_trusted():
-    found = _refined(pairs("A1-B1 A2-B2 A1-A2"))
+    found = refined(pairs("A1-B1 A2-B2 A1-A2"))
     assert not found.rig.stops
     (link,) = found.links
     assert not link.used
@@ -185,7 +170,7 @@ _GOOD = "A1-A2 A2-A3 A1-B2 A2-B1 A2-B3 A3-B2 B1-B2 B2-B3"
 
 def test_a_link_that_differs_from_the_others_is_refused():
     rng = np.random.default_rng(5)
-    found = _refined([*pairs(_GOOD, rng), pair("B1", "A3", rng, off=[0, 0, 0, 0.03, 0, 0])])
+    found = refined([*pairs(_GOOD, rng), pair("B1", "A3", rng, off=[0, 0, 0, 0.03, 0, 0])])
     refused = [link for link in found.links if not link.used]
     assert [(link.target, link.target_stop, link.source, link.source_stop) for link in refused] == [
         ("B", "stop 1", "A", "stop 3")
@@ -194,7 +179,7 @@ def test_a_link_that_differs_from_the_others_is_refused():
 
 
 def test_a_place_known_to_look_alike_has_no_links():
-    within, links = _split(pairs(_GOOD + " A1-B1", np.random.default_rng(5)))
+    within, links = split(pairs(_GOOD + " A1-B1", np.random.default_rng(5)))
     found = refine_linked("A", within, links, _CONFIG, looks_alike=True)
     assert not found.rig.stops
     assert set(found.rig.poses) == {"A", "B"}
@@ -206,7 +191,7 @@ def _against(stop):
 
 
 def test_beams_of_another_stop_refuse_what_links_tell():
-    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    within, links = split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
     assert set(refine_linked("A", within, links, _CONFIG).rig.poses) == {"A", "B"}
     found = refine_linked("A", within, links, _CONFIG, _against("stop 2"))
     assert set(found.rig.poses) == {"A"}
@@ -217,7 +202,7 @@ def test_beams_of_another_stop_refuse_what_links_tell():
 
 def test_beams_of_another_stop_refuse_what_one_stop_tells():
     """Links that have nothing to do with it stay."""
-    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A2-B2 A2-C2", np.random.default_rng(9)))
+    within, links = split(pairs("A1-A2 A2-A3 A1-A3 A2-B2 A2-C2", np.random.default_rng(9)))
     found = refine_linked("A", within, links, _CONFIG, _against("stop 3"))
     assert set(found.rig.poses) == {"A", "C"}
     assert {conflict.stop for conflict in found.conflicts} == {"stop 3"}
@@ -227,7 +212,7 @@ def test_beams_of_another_stop_refuse_what_one_stop_tells():
 
 def test_links_that_put_a_lidar_off_the_vehicle_do_not_count():
     """Posts of a rail repeat, and links that agree with each other put a LiDAR 23 m off. Here it is 1.3 m from A."""
-    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    within, links = split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
     assert set(refine_linked("A", within, links, _CONFIG, max_baseline_m=1.5).rig.poses) == {"A", "B"}
     found = refine_linked("A", within, links, _CONFIG, max_baseline_m=1.2)
     assert set(found.rig.poses) == {"A"}
@@ -235,7 +220,7 @@ def test_links_that_put_a_lidar_off_the_vehicle_do_not_count():
 
 
 def test_undecided_links_do_not_count():
-    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    within, links = split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
     verdict = Verdict("undecided", (Reason("held_by_repetition", -1.0, 0.0, "made"),))
     links = [
         replace(link, registration=replace(link.registration, verdict=verdict))
@@ -259,119 +244,13 @@ def test_the_joint_rig_keeps_the_largest_baseline(max_baseline_m, is_placed):
     assert ("acceptance.max_baseline_m" in found.reason) is not is_placed
 
 
-_EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"
-
-
-def _knocked(every, lidar, later, by_m=0.02):
-    """Move a LiDAR at some stops."""
-    off = RigidTransform.from_xyz_rpy(lidar, lidar, (by_m, 0.0, 0.0), (0.0, 0.0, 0.0))
-    for each in every:
-        pose = each.registration.T_target_source
-        if each.source.lidar == lidar and each.source_stop in later:
-            pose = pose @ off
-        if each.target.lidar == lidar and each.target_stop in later:
-            pose = off.inverse() @ pose
-        yield replace(each, registration=replace(each.registration, T_target_source=pose))
-
-
-@pytest.mark.parametrize("lidar", ["A", "B", "C"])
-@pytest.mark.parametrize("seed", [10, pytest.param(11, marks=pytest.mark.nightly)])
-def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
-    every = list(_knocked(pairs(_EVERY, np.random.default_rng(seed)), lidar, {"stop 4"}))
-    (knock,) = _refined(every).knocks
-    assert (knock.lidar, knock.before, knock.after, knock.left_out) == (lidar, "stop 3", "stop 4", ("stop 4",))
-    assert knock.distance_m == pytest.approx(0.02, abs=0.008)
-
-
-def test_a_knock_about_a_stop_without_views_is_dated_around_it():
-    every = pairs(_EVERY, np.random.default_rng(10))
-    seen = [each for each in every if DriveView("C", "stop 3") not in each.views]
-    (knock,) = _refined(list(_knocked(seen, "C", {"stop 4"}))).knocks
-    assert (knock.lidar, knock.before, knock.after) == ("C", "stop 2", "stop 4")
-    assert knock.left_out == ("stop 3", "stop 4")
-
-
-@pytest.mark.parametrize(("missing", "is_told"), [("", True), ("A1-C1", False)])
-def test_one_link_alone_tells_no_knock(missing, is_told):
-    """It may just be wrong: then it is refused."""
-    every = [each for each in _EVERY.split() if each != missing]
-    moved = {"stop 2", "stop 3", "stop 4"}
-    found = _refined(list(_knocked(pairs(" ".join(every), np.random.default_rng(10)), "C", moved)))
-    assert bool(found.knocks) == is_told
-    refused = {(link.target, link.source): link.reason for link in found.links if not link.used}
-    assert is_told or refused == {("C", "C"): "it contradicts other links and pairs"}
-
-
-@pytest.mark.parametrize(("explained", "left_out"), [(55.0, ("stop 1", "stop 2")), (40.0, ("stop 1",))])
-def test_a_time_that_one_link_tells_stays_possible(monkeypatch, explained, left_out):
-    """The stop between both times may be on either side of the motion."""
-    values = {"lidar": "B", "probability": 1e-9, "may_be_knock": True, "distance_m": 0.02, "angle_rad": 0.0}
-    motions = [
-        SimpleNamespace(number=1, explained=50.0, is_told=True, **values),
-        SimpleNamespace(number=2, explained=explained, is_told=False, **values),
-    ]
-    monkeypatch.setattr(knocks, "_motions", lambda *_: motions)
-    stops = [f"stop {number}" for number in range(1, 5)]
-    assert find_knock("A", SimpleNamespace(squared=100.0), stops).left_out == left_out
-
-
-@pytest.mark.parametrize("lidar", ["A", "B", "C"])
-def test_a_knock_that_chance_may_explain_is_a_possible_one(lidar):
-    found = _refined(list(_knocked(pairs(_EVERY, np.random.default_rng(10)), lidar, {"stop 4"}, 0.008)))
-    assert not found.knocks
-    knock = found.possible_knock
-    assert (knock.lidar, knock.before, knock.after) == (lidar, "stop 3", "stop 4")
-    assert knock.distance_m == pytest.approx(0.008, abs=0.002)
-    moved_m = {name: np.linalg.norm(offset[3:]) for name, offset in knock.offsets.items()}
-    assert 0.004 < max(moved_m.values()) < 0.009
-    assert lidar == "A" or max(moved_m, key=moved_m.get) == lidar
-
-
-@pytest.mark.parametrize("root", ["A", "B"])
-def test_sigma_covers_a_possible_knock(root):
-    other = "B" if root == "A" else "A"
-    links = pairs("A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 A4-B3 B1-B2 B3-B4", np.random.default_rng(10))
-    links = list(_knocked(links, "B", {"stop 4"}, 0.01))
-    found = _refined(links, root)
-    knock = found.possible_knock
-    alone = CalibrationResult("A", "", tuple(LidarPlacement(name, "nothing in common") for name in "AB"))
-    placed = join([SnapshotRun(stop, alone) for stop in STOPS], CalibrationConfig(target=root), links=links)[other]
-    assert placed.reason.endswith(" may have moved by 10 mm between stop 3 and stop 4, which sigma covers")
-    assert placed.sigma_from == "snapshots"
-    widened = found.rig.covariances[other] + np.outer(knock.offsets[other], knock.offsets[other])
-    np.testing.assert_allclose(placed.covariance, widened, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(100, 104))
-def test_chance_is_no_possible_knock(seed):
-    assert _refined(pairs(_EVERY, np.random.default_rng(seed))).possible_knock is None
-
-
-@pytest.mark.parametrize(("by_m", "is_knock"), [(0.4, True), (0.6, False)])
-def test_a_lidar_that_moved_too_far_was_not_knocked(by_m, is_knock):
-    every = list(_knocked(pairs(_EVERY, np.random.default_rng(10)), "B", {"stop 4"}, by_m))
-    found = find_knock("A", solve_views("A", every), [f"stop {number}" for number in range(1, 5)])
-    assert (found is not None) == is_knock
-
-
-@pytest.mark.parametrize("seed", range(20, 24))
-def test_no_knock_is_invented(seed):
-    assert not _refined(pairs(_EVERY, np.random.default_rng(seed))).knocks
-
-
 def test_a_lidar_that_one_stop_puts_elsewhere_has_no_links_there():
-    within, links = _split(pairs("A1-B1 A3-B3 A1-A2 A2-A3 A1-A3 B1-B2 B2-B3", np.random.default_rng(12)))
+    within, links = split(pairs("A1-B1 A3-B3 A1-A2 A2-A3 A1-A3 B1-B2 B2-B3", np.random.default_rng(12)))
     moved = [DriveView("B", "stop 2")]
     found = refine_linked("A", within, links, _CONFIG, _against("stop 2"), moved)
     assert set(found.rig.poses) == {"A", "B"}
     assert not found.conflicts
     assert {link.target for link in found.links if not link.used} == {"B"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", some_of(range(30, 33), 1))
-def test_covariances_that_are_too_small_invent_no_knock(seed):
-    assert not _refined(pairs(_EVERY, np.random.default_rng(seed), noise=2.5)).knocks
 
 
 def test_both_sides_of_a_lidar_with_itself_share_its_biases():
