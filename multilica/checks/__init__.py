@@ -6,12 +6,10 @@ from multilica.checks.comparison import (
     LidarCheck,
     RigCheck,
     check_document,
-    check_found,
     check_rig,
-    decide_unplaced,
     relative_covariance,
-    verify_snapshot,
 )
+from multilica.checks.known_poses import check_found, decide_unplaced, verify_snapshot
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
 from multilica.checks.stops import settle_stops, verify_stops, without_common_view
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances

@@ -4,7 +4,8 @@
 from collections.abc import Mapping, Sequence
 
 from multilica.acceptance.placement import TOO_FEW_SURFACES
-from multilica.checks.comparison import LidarCheck, RigCheck, verify_snapshot
+from multilica.checks.comparison import LidarCheck, RigCheck
+from multilica.checks.known_poses import verify_snapshot
 from multilica.checks.tolerances import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
