@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of a rig with its reference: which LiDARs are where they should be, and which have moved."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from multilica.checks.tolerances import RigTolerances, Tolerance
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import LidarPlacement
+from multilica.results import Knock, LidarPlacement
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.results.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
@@ -140,7 +140,8 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     """Compare the poses of a run with a reference.
 
     The LiDARs are compared to that one with which most others agree, so that a single moved LiDAR is named even if it
-    is the target. A pair agrees within the smaller of its two tolerances.
+    is the target. A pair agrees within the smaller of its two tolerances. A LiDAR that moved later than the stops that
+    its pose is from is judged by where it is now.
 
     A difference counts only if the covariances of found pose and reference do not explain it: their sum, as of two
     scenes that share no errors. A standard deviation above the tolerance decides nothing.
@@ -153,12 +154,19 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     _require_names(found, reference, sorted(common), tolerances)
     compared = sorted((each for each in found.placements if each.lidar in common), key=lambda each: each.lidar)
     placed = {each.lidar: each for each in compared if each.T_target_source is not None}
-    root, limits, notes = _root(found.target, placed, reference, tolerances)
+    undone = {knock.lidar: knock for knock in found.knocks if knock.is_undone}
+    root, limits, notes = _root(found.target, placed, reference, tolerances, undone)
     checks = tuple(
-        _check(each, placed.get(root), found.target, reference, limits.get(each.lidar) or tolerances.of(each.lidar))
+        _moved_since(
+            _check(
+                each, placed.get(root), found.target, reference, limits.get(each.lidar) or tolerances.of(each.lidar)
+            ),
+            undone.get(each.lidar) or undone.get(root),
+        )
         for each in compared
         if each.lidar != root
     )
+    notes += [knock.text for knock in found.knocks]
     notes += _about_covariances(found, root, placed, reference)
     if extra := sorted(names - common):
         notes.append(f"the reference has no pose of {_and(extra)}")
@@ -179,9 +187,13 @@ def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str]
 
 
 def _root(
-    target: str, placed: dict[str, LidarPlacement], reference: Extrinsics, tolerances: RigTolerances
+    target: str,
+    placed: dict[str, LidarPlacement],
+    reference: Extrinsics,
+    tolerances: RigTolerances,
+    moved: Collection[str] = (),
 ) -> tuple[str, dict[str, Tolerance], list[str]]:
-    """Choose the LiDAR with which most agree: among equals one without a tolerance of its own, then the target.
+    """Choose the LiDAR with which most agree: of equals one that has not moved, without a tolerance, or the target.
 
     Returns:
         The root, the tolerance of each other placed LiDAR beside it, and notes.
@@ -200,7 +212,10 @@ def _root(
         )
         for root in sorted(placed)
     }
-    root = max(agreeing, key=lambda name: (len(agreeing[name]), not tolerances.has_own(name), name == target))
+    root = max(
+        agreeing,
+        key=lambda name: (len(agreeing[name]), name not in moved, not tolerances.has_own(name), name == target),
+    )
     confirmed = 2 * len(agreeing[root]) > len(placed)  # else the root may be the one that is off by its own tolerance
     limits = {
         name: tolerances.of(name) if confirmed else tolerances.beside(name, root) for name in placed if name != root
@@ -270,6 +285,17 @@ def _check(
         rotation_probability=probabilities[1],
         **limits,
     )
+
+
+def _moved_since(check: LidarCheck, knock: Knock | None) -> LidarCheck:
+    """Return the check of a LiDAR by where it is now, if a knock came after the stops that its pose is from."""
+    if knock is None:
+        return check
+    is_small = knock.distance_m <= check.max_translation_m and knock.angle_deg <= check.max_rotation_deg
+    verdict: CheckVerdict = check.verdict
+    if not is_small:
+        verdict = "outside" if check.verdict == "within" else "undecided"
+    return check.model_copy(update={"verdict": verdict, "reason": f"{knock.motion}; before: {check.reason}"})
 
 
 def _largest_sigmas(covariance: FloatArray | None) -> tuple[float | None, float | None]:

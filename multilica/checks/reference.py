@@ -107,6 +107,11 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
             f"{directory} does not place {', '.join(without)}; accept a run that places every LiDAR "
             f"(`multilica explain {directory}` says what would help)."
         )
+    if undone := next((knock for knock in run.knocks if knock.is_undone), None):
+        raise UnfitRunError(
+            f"{directory} has the pose of {undone.lidar} before it moved: {undone.motion}; accept a run of the stops "
+            "after that."
+        )
     new = read_extrinsics_table(file)
     before = None
     if into.exists():

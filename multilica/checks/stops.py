@@ -12,6 +12,9 @@ from multilica.errors import UnfitSnapshotError
 from multilica.extrinsics import Extrinsics
 from multilica.snapshot import Snapshot
 
+# One of a hundred LiDARs that have not moved seems to have moved as far.
+_UNLIKELY = 0.01
+
 
 def verify_stops(
     snapshots: Sequence[Snapshot],
@@ -67,24 +70,49 @@ def _blind(each: LidarCheck) -> LidarCheck:
 
 
 def settle_stops(checks: Sequence[RigCheck]) -> tuple[RigCheck, ...]:
-    """Let a LiDAR that one stop cannot decide be within where another stop finds it within.
+    """Let a LiDAR that one stop cannot decide be within where other stops find it within.
 
-    A LiDAR outside at any stop stays so there.
+    They must compare it to the root of that stop, directly or by way of others: two groups of LiDARs that no stop
+    compares may have moved apart. A LiDAR outside at any stop stays so there, and so does one that a stop measured
+    outside its tolerance if chance hardly explains that: it may have moved since.
     """
     within: dict[str, tuple[RigCheck, LidarCheck | None]] = {}
+    groups: list[set[str]] = []
     for check in checks:
         for each in check.lidars:
             if each.verdict == "within":
                 within.setdefault(each.lidar, (check, each))
                 within.setdefault(check.root, (check, None))
-    return tuple(
-        check.model_copy(update={"lidars": tuple(_settled(each, within) for each in check.lidars)}) for check in checks
-    )
+                groups = _joined({each.lidar, check.root}, groups)
+    settled = []
+    for check in checks:
+        group = next((names for names in groups if check.root in names), set())
+        known = {name: found for name, found in within.items() if name in group}
+        settled.append(check.model_copy(update={"lidars": tuple(_settled(each, known) for each in check.lidars)}))
+    return tuple(settled)
+
+
+def _joined(names: set[str], groups: Sequence[set[str]]) -> list[set[str]]:
+    """Return groups of LiDARs after some turn out to belong together."""
+    apart = [group for group in groups if not group & names]
+    return [*apart, names.union(*(group for group in groups if group & names))]
 
 
 def _settled(each: LidarCheck, within: Mapping[str, tuple[RigCheck, LidarCheck | None]]) -> LidarCheck:
-    if each.verdict != "undecided" or each.lidar not in within:
+    if each.verdict != "undecided" or each.lidar not in within or _is_likely_outside(each):
         return each
     check, found = within[each.lidar]
     told = f"others are compared to it at {check.name}" if found is None else f"{found.reason} at {check.name}"
     return each.model_copy(update={"verdict": "within", "reason": f"{told}; here: {each.reason}"})
+
+
+def _is_likely_outside(each: LidarCheck) -> bool:
+    """Return whether a LiDAR is measured outside its tolerance, and chance hardly explains it."""
+    measured = (
+        (each.distance_m, each.max_translation_m, each.translation_probability),
+        (each.angle_deg, each.max_rotation_deg, each.rotation_probability),
+    )
+    return any(
+        off is not None and off > most and probability is not None and probability < _UNLIKELY
+        for off, most, probability in measured
+    )

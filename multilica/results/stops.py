@@ -135,12 +135,20 @@ class Knock:
     ]
 
     @property
+    def is_undone(self) -> bool:
+        """True if the pose of the LiDAR is the one before it moved, where it is no longer."""
+        return self.after in self.left_out
+
+    @property
+    def motion(self) -> str:
+        """The motion for people."""
+        size = f"{1e3 * self.distance_m:.0f} mm, {self.angle_deg:.2f} deg"
+        return f"{self.lidar} moved by {size} between {self.before} and {self.after}"
+
+    @property
     def text(self) -> str:
         """The knock for people."""
-        return (
-            f"{self.lidar} moved by {1e3 * self.distance_m:.0f} mm, {self.angle_deg:.2f} deg between {self.before} and "
-            f"{self.after}; its pose is the one without {', '.join(self.left_out)}"
-        )
+        return f"{self.motion}; its pose is the one without {', '.join(self.left_out)}"
 
 
 @dataclass(frozen=True, slots=True)

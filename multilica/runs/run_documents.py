@@ -9,7 +9,7 @@ import numpy as np
 
 from multilica.documents import MAX_JSON_BYTES, DocumentError, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.results import LidarPlacement
+from multilica.results import Knock, LidarPlacement
 from multilica.results.document import ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
@@ -39,6 +39,7 @@ class SavedRun:
     name: str
     target: str
     placements: tuple[LidarPlacement, ...]
+    knocks: tuple[Knock, ...] = ()
 
 
 def read_run_document(path: Path) -> RunDocument:
@@ -133,7 +134,7 @@ def saved_run(run: RunDocument, name: str) -> SavedRun:
         if each.covariance is not None and not np.all(np.linalg.eigvalsh(each.covariance) > 0.0):
             what = f"the covariance of LiDAR '{each.lidar}' is not a positive definite 6x6 matrix"
             raise UnreadableSourceError(f"{run.path} is not a whole result: {what}.")
-    return SavedRun(name, run.document.target, run.document.placements)
+    return SavedRun(name, run.document.target, run.document.placements, run.document.knocks)
 
 
 def is_run(path: Path) -> bool:

@@ -11,7 +11,7 @@ from multilica.checks import RigTolerances, Tolerance, check_rig
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LidarPlacement
+from multilica.results import Knock, LidarPlacement
 from multilica.runs import SavedRun
 
 POSES = {
@@ -67,6 +67,33 @@ def test_the_lidar_that_moved_is_named(lidar, motion):
     expected = (0.05, 0.0) if motion is SHIFT else (0.0, 0.5)
     assert (found.distance_m, found.angle_deg) == pytest.approx(expected, abs=1e-9)
     assert check.root != lidar
+
+
+@pytest.mark.parametrize(
+    ("left_out", "by_m", "change", "verdict"),
+    [
+        (("stop 4",), 0.2, {}, "outside"),
+        (("stop 4",), 0.02, {}, "within"),
+        (("stop 4",), 0.2, {"rear": SHIFT}, "undecided"),
+        (("stop 4",), 0.02, {"rear": SHIFT}, "outside"),
+        (("stop 1", "stop 2", "stop 3"), 0.2, {}, "within"),
+        (("stop 1", "stop 2", "stop 3"), 0.2, {"rear": SHIFT}, "outside"),
+    ],
+)
+def test_a_lidar_is_judged_by_where_it_is_now(left_out, by_m, change, verdict):
+    knock = Knock("rear", "stop 3", "stop 4", by_m, 0.1, left_out)
+    check = checked(replace(run_with(change), knocks=(knock,)))
+    assert [each.verdict for each in check.lidars] == ["within", "within", verdict]
+    assert check.notes[0] == knock.text
+    assert check.lidars[2].reason.startswith("rear moved by") == ("stop 4" in left_out)
+
+
+def test_the_lidar_that_was_knocked_is_no_root():
+    knock = Knock("top", "stop 3", "stop 4", 0.2, 0.1, ("stop 4",))
+    check = checked(replace(run_with(), knocks=(knock,)))
+    assert (check.root, check.moved) == ("front", ("top",))
+    pair = run_with(without=("left", "rear"))
+    assert checked(replace(pair, knocks=(knock,))).moved == ("top",)
 
 
 def test_differences_are_along_the_axes_of_the_root():

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops, without_common_view
 from multilica.checks.ci_reports import junit_xml, summary_markdown, word_of
 
@@ -46,6 +48,26 @@ def test_a_stop_that_measured_nothing_says_so() -> None:
     assert junit_xml(checks, "2026-11-23T03:00:00").count("<skipped />") == 2
     row = next(line for line in summary_markdown(checks[1:2], "reference").splitlines() if line.startswith("| front"))
     assert row.startswith("| front | not measured | - | - | - | so it is at all; here: so it is |")
+
+
+def test_groups_that_no_stop_compares_do_not_settle_each_other() -> None:
+    """The rear pair may have moved as a whole."""
+    front = stop("one", "front_left", front_right="within", rear_left="undecided", rear_right="undecided")
+    rear = stop("two", "rear_left", rear_right="within", front_right="undecided")
+    assert verdicts_of(settle_stops([front, rear])) == verdicts_of((front, rear))
+    both = stop("three", "rear_right", front_right="within")
+    assert {check.verdict for check in settle_stops([front, rear, both])} == {"within"}
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "probability", "verdict"),
+    [(0.065, 0.005, "undecided"), (0.065, 0.02, "within"), (0.02, 0.005, "within"), (None, None, "within")],
+)
+def test_a_stop_that_measured_a_motion_is_not_settled(distance_m, probability, verdict) -> None:
+    later = stop("two", left="undecided")
+    measured = {"distance_m": distance_m, "translation_probability": probability}
+    later = later.model_copy(update={"lidars": (later.lidars[0].model_copy(update=measured),)})
+    assert settle_stops([stop("one", left="within"), later])[1].verdict == verdict
 
 
 def test_what_moved_later_stays_outside() -> None:

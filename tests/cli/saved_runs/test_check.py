@@ -197,6 +197,17 @@ def test_a_run_that_places_too_little_is_not_accepted(invoke: Invoke, result: Pa
     assert not Path("calibration.toml").exists()
 
 
+def test_a_pose_from_before_a_knock_is_no_reference(invoke: Invoke, result: Path) -> None:
+    document = made_document("complete")
+    knock = {"lidar": "rear", "before": "stop 3", "after": "stop 4", "distance_m": 0.2, "angle_deg": 3.0}
+    result.write_text(json.dumps(document | {"knocks": [knock | {"left_out": ["stop 4"]}]}))
+    result.with_name("calibration.toml").write_text("")
+    outcome = invoke("accept", result.parent, "--into", "calibration.toml")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert "rear before it moved: rear moved by 200 mm, 3.00 deg between stop 3 and stop 4" in outcome.err
+    assert invoke("check", result, "--against", result).code == ExitCode.DIFFERENT
+
+
 @pytest.mark.slow
 @pytest.mark.in_turn
 def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
