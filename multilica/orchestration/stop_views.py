@@ -41,17 +41,37 @@ class DriveStop:
 def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, RigidTransform]:
     """Return the pose of each LiDAR over the ground on which most stops agree; none for one on which no two agree.
 
-    A LiDAR that sees little ground at one stop may take a wall or a slope beside the road for it.
+    A LiDAR that sees little ground at one stop may take a wall or a slope beside the road for it. If that about z does
+    not agree, the LiDAR may have another axis up: then that about any axis counts, unless a ceiling agrees as well.
     """
     found: dict[str, RigidTransform] = {}
     for lidar in sorted({name for stop in stops for name in stop.lidars}):
         clouds = [stop.lidars[lidar].cloud.points_m for stop in stops if lidar in stop.lidars]
-        estimates = [estimate_level_about_z(lidar, {lidar: points_m}, {}, config, _LEAST_GROUND) for points_m in clouds]
-        levels = [level for level in estimates if level is not None]
-        agreeing = [sum(_is_same_ground(one, other) for other in levels) for one in levels]
-        if max(agreeing, default=0) > 1:
-            found[lidar] = levels[int(np.argmax(agreeing))]
+        about_z = [estimate_level_about_z(lidar, {lidar: points_m}, {}, config, _LEAST_GROUND) for points_m in clouds]
+        level = _agreed([[each] for each in about_z if each is not None])
+        if level is None:
+            level = _agreed([find_levels(lidar, {lidar: points_m}, {}, config, _LEAST_GROUND) for points_m in clouds])
+        if level is not None:
+            found[lidar] = level
     return found
+
+
+def _agreed(at_stops: Sequence[Sequence[RigidTransform]]) -> RigidTransform | None:
+    """Return the level on which most stops agree, at least two.
+
+    None if as many agree on another one, or if two agree on one that lies opposite.
+    """
+    levels = [level for found in at_stops for level in found]
+    counts = [sum(any(_is_same_ground(one, other) for other in found) for found in at_stops) for one in levels]
+    if max(counts, default=0) < 2:
+        return None
+    best = levels[int(np.argmax(counts))]
+    rivals = [
+        level
+        for level, count in zip(levels, counts, strict=True)
+        if count == max(counts) or (count > 1 and level.rotation[2] @ best.rotation[2] < -_SAME_SLOPE)
+    ]
+    return best if all(_is_same_ground(best, each) for each in rivals) else None
 
 
 def prepare_views(
@@ -71,7 +91,7 @@ def prepare_views(
         clouds = [each.cloud.points_m for each in at_stops.values()]
         known = _levels_of(lidar, clouds[0], levels, config)
         # The ground is in the same place at every stop: without a vertical, it would be taken for the vehicle.
-        body = find_own_body(clouds, known[0].rotation) if known else BodyCells.none()
+        body = find_own_body(clouds, [level.rotation for level in known]) if known else BodyCells.none()
         for stop, prepared in at_stops.items():
             view = DriveView(lidar, stop)
             found[view] = _without_body(prepared, body).as_view(view.label, limits)

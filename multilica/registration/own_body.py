@@ -38,18 +38,19 @@ class BodyCells:
         return np.isin(cell_numbers(points_m, _CELL_M), self.keys)
 
 
-def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCells:
+def find_own_body(stops: Sequence[FloatArray], rotations: Sequence[FloatArray]) -> BodyCells:
     """Find the cells that are filled at every stop, above the ground.
 
     Args:
         stops: per stop the points (N, 3) of one LiDAR in its own frame.
-        rotation: (3, 3) from that frame to one with z up.
+        rotations: (3, 3) from that frame to those that may have z up.
     """
     near = [points_m[lengths(points_m) < _REACH_M] for points_m in stops]
     if len(near) < 2 or any(len(points_m) < _MIN_POINTS for points_m in near):
         return BodyCells.none()
     first_m = near[0]
-    first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
+    for rotation in rotations:
+        first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
     keys = cell_numbers(first_m, _CELL_M)
     same = np.unique(keys)
     for points_m in near[1:]:

@@ -156,8 +156,13 @@ def _find_surface(
         )
         for normal, height_m in _planes(points_m - middle_m, config.ground, config.runtime.seed)
     )
-    surfaces = (each for each in fitted if each.below <= _MAX_SHARE_BELOW)
+    below = (each for each in fitted if _height_of_target_m(each, middle_m) > 0.0)
+    surfaces = (each for each in below if each.below <= _MAX_SHARE_BELOW)
     return max(surfaces, key=lambda each: each.score, default=None)
+
+
+def _height_of_target_m(found: GroundSurface, middle_m: FloatArray) -> float:
+    return found.offset_m - float(found.normal @ middle_m)
 
 
 def _pose_over(
@@ -166,7 +171,7 @@ def _pose_over(
     """Return the pose of the target over a surface, with x, y and yaw as known."""
     a, b, c = found.normal
     x_m, y_m, yaw_rad = (0.0, 0.0, 0.0) if known is None else (*known.xyz_m[:2].tolist(), float(known.rpy_rad[2]))
-    xyz_m = [x_m, y_m, found.offset_m - float(found.normal @ middle_m)]
+    xyz_m = [x_m, y_m, _height_of_target_m(found, middle_m)]
     return RigidTransform.from_xyz_rpy(
         frame, target, xyz_m, [np.arctan2(b, c), np.arctan2(-a, np.hypot(b, c)), yaw_rad]
     )
@@ -269,7 +274,11 @@ def estimate_level_about_z(
 
 
 def find_levels(
-    target: str, clouds: Mapping[str, FloatArray], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+    target: str,
+    clouds: Mapping[str, FloatArray],
+    poses: Mapping[str, RigidTransform],
+    config: CalibrationConfig,
+    least_score: float = -np.inf,
 ) -> list[RigidTransform]:
     """Find the possible poses of the target LiDAR in a frame with z up, whichever axis its driver has up.
 
@@ -278,6 +287,7 @@ def find_levels(
 
     Args:
         clouds, poses: as of `estimate_level`.
+        least_score: of a plane; see `GroundSurface.score`.
 
     Returns:
         That about z first, then those with the most ground; none without any plane.
@@ -290,7 +300,7 @@ def find_levels(
     found: dict[int, tuple[float, RigidTransform]] = {}
     for axis, up in enumerate(_UPS):
         surface = _find_surface(points_m @ up.T, up @ middle_m, config, None, bias_sigmas)
-        if surface is None or surface.cells < _MIN_CELLS:
+        if surface is None or surface.cells < _MIN_CELLS or surface.score < least_score:
             continue
         turn = RigidTransform.from_rotation_translation(target, target, up, np.zeros(3))
         level = _pose_over(surface, target, up @ middle_m, LEVEL_FRAME) @ turn

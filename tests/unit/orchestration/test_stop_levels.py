@@ -23,9 +23,10 @@ def _level(roll_deg=0.0, height_m=1.5):
 def found(monkeypatch):
     """Return the level of a LiDAR out of those of its stops; None for a stop without ground."""
 
-    def of(*levels):
-        left = iter(levels)
+    def of(*levels, about_others=None):
+        left, others = iter(levels), iter(about_others or [[] for _ in levels])
         monkeypatch.setattr(stop_views, "estimate_level_about_z", lambda *_: next(left))
+        monkeypatch.setattr(stop_views, "find_levels", lambda *_: next(others))
         cloud = SimpleNamespace(cloud=SimpleNamespace(points_m=np.zeros((1, 3))))
         stops = [DriveStop(f"stop {number}", {"front": cloud}, ()) for number, _ in enumerate(levels, 1)]
         return levels_of(stops, CalibrationConfig()).get("front")
@@ -41,6 +42,25 @@ def test_most_stops_decide(found):
 @pytest.mark.parametrize("other", [_level(4.0), _level(0.0, 1.9), None], ids=["slope", "height", "no ground"])
 def test_stops_that_disagree_tell_none(found, other):
     assert found(_level(), other) is None
+
+
+_ROAD, _WALL, _CEILING = _level(90.0), _level(0.0), _level(-90.0)
+
+
+@pytest.mark.parametrize(
+    ("about_others", "is_road"),
+    [
+        ([[_ROAD, _WALL], [_ROAD], [_level(91.0)]], True),
+        ([[_ROAD, _WALL], [_ROAD, _WALL], [_ROAD]], True),
+        ([[_ROAD, _WALL], [_ROAD, _WALL], []], False),
+        ([[_ROAD, _CEILING], [_ROAD, _CEILING], [_ROAD]], False),
+        ([[_ROAD, _CEILING], [_ROAD], [_ROAD]], True),
+        ([[_ROAD], [_WALL], []], False),
+    ],
+)
+def test_another_axis_may_be_up(found, about_others, is_road):
+    assert (found(None, _WALL, None, about_others=about_others) is _ROAD) == is_road
+    assert is_road or found(None, _WALL, None, about_others=about_others) is None
 
 
 def test_little_ground_is_none():

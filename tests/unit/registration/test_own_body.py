@@ -23,17 +23,31 @@ def _stops(rng, *, body, moved=True):
 
 def test_the_bonnet_is_found_and_nothing_else():
     stops, bonnet = _stops(np.random.default_rng(0), body=True)
-    cells = find_own_body(stops, np.eye(3))
+    cells = find_own_body(stops, [np.eye(3)])
     assert np.mean(cells.contain(bonnet)) > 0.95
     assert np.mean(cells.contain(stops[1][:7000])) < 0.01
 
 
 def test_nothing_is_found_without_a_body():
     stops, _ = _stops(np.random.default_rng(1), body=False)
-    assert not len(find_own_body(stops, np.eye(3)).keys)
-    assert not len(find_own_body(stops[:1], np.eye(3)).keys)
+    assert not len(find_own_body(stops, [np.eye(3)]).keys)
+    assert not len(find_own_body(stops[:1], [np.eye(3)]).keys)
+
+
+def test_the_ground_is_no_body_where_a_ceiling_may_be_the_ground():
+    rng = np.random.default_rng(3)
+    stops, _ = _stops(rng, body=False)
+    around = [_drawn(rng, (-9.0, -9.0, -1.5), (9.0, 9.0, 2.5), 6000) for _ in stops]
+    stops = [
+        np.concatenate([*each, _drawn(rng, (-9.0, -9.0, 2.98), (9.0, 9.0, 3.02), 4000)])
+        for each in zip(stops, around, strict=True)
+    ]
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    ground = stops[0][:4000]
+    assert find_own_body(stops, [upside_down]).contain(ground).mean() > 0.3
+    assert find_own_body(stops, [upside_down, np.eye(3)]).contain(ground).mean() < 0.05
 
 
 def test_a_vehicle_that_did_not_move_keeps_its_surroundings():
     stops, _ = _stops(np.random.default_rng(2), body=False, moved=False)
-    assert not len(find_own_body([stops[0]] * 3, np.eye(3)).keys)
+    assert not len(find_own_body([stops[0]] * 3, [np.eye(3)]).keys)

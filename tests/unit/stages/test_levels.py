@@ -52,6 +52,16 @@ def test_the_ground_may_be_about_several_axes(monkeypatch, scores, likely):
     assert all(level.xyz_m == pytest.approx([0.0, 0.0, 2.0]) for level in found)
 
 
+@pytest.mark.parametrize(("height_m", "is_ground"), [(0.9, True), (-0.9, False)])
+def test_a_surface_above_the_rig_is_no_ground(monkeypatch, height_m, is_ground):
+    """The fit may raise a plane that RANSAC found below."""
+    made = SimpleNamespace(normal=_UP, offset_m=height_m + 0.1, below=0.0, score=9.0)
+    monkeypatch.setattr(ground, "_planes", lambda *_: iter([(_UP, 0.1)]))
+    monkeypatch.setattr(ground, "fit_surface", lambda *_: made)
+    found = ground._find_surface(_POINTS_M, 0.1 * _UP, _CONFIG, None, np.zeros(2))
+    assert found is (made if is_ground else None)
+
+
 def test_a_slope_between_two_axes_is_one_ground(monkeypatch):
     slope = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5)])
     about_x = ground._UPS[_AXES.index("x")] @ slope
