@@ -345,7 +345,8 @@ def _ground_warnings(document: ResultDocument) -> Iterator[str]:
 def _warnings(document: ResultDocument) -> Iterator[str]:
     """Yield a sentence per doubt: knocks, no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
     yield from (
-        f"{knock.text}. Check how {knock.lidar} is fastened, then calibrate again." for knock in document.knocks
+        f"{knock.text}. Check how {' or '.join((knock.lidar, *knock.rivals))} is fastened, then calibrate again."
+        for knock in document.knocks
     )
     yield from _time_warnings(document)
     yield from _ground_warnings(document)

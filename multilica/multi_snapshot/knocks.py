@@ -96,7 +96,9 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
     earlier, between, later = stops[: min(numbers)], stops[min(numbers) : max(numbers)], stops[max(numbers) :]
     fewer = earlier if len(earlier) <= len(later) else later
     angle_deg = float(np.rad2deg(best.angle_rad))
-    return Knock(best.lidar, earlier[-1], later[0], best.distance_m, angle_deg, tuple(sorted({*fewer, *between})))
+    left_out = tuple(sorted({*fewer, *between}))
+    rivals = tuple(sorted({each.lidar for each in likely} - {best.lidar}))
+    return Knock(best.lidar, earlier[-1], later[0], best.distance_m, angle_deg, left_out, rivals)
 
 
 def find_possible_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> PossibleKnock | None:

@@ -133,6 +133,9 @@ class Knock:
     left_out: Annotated[
         tuple[str, ...], Field(description="Stops on one side of it, and between, that do not count for its pose.")
     ]
+    rivals: Annotated[
+        tuple[str, ...], Field(description="Other LiDARs, whose motion explains it as well: with two LiDARs, both do.")
+    ] = ()
 
     @property
     def is_undone(self) -> bool:
@@ -143,12 +146,12 @@ class Knock:
     def motion(self) -> str:
         """The motion for people."""
         size = f"{1e3 * self.distance_m:.0f} mm, {self.angle_deg:.2f} deg"
-        return f"{self.lidar} moved by {size} between {self.before} and {self.after}"
+        return f"{' or '.join((self.lidar, *self.rivals))} moved by {size} between {self.before} and {self.after}"
 
     @property
     def text(self) -> str:
         """The knock for people."""
-        return f"{self.motion}; its pose is the one without {', '.join(self.left_out)}"
+        return f"{self.motion}; the pose of {self.lidar} is the one without {', '.join(self.left_out)}"
 
 
 @dataclass(frozen=True, slots=True)

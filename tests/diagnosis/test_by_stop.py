@@ -120,7 +120,7 @@ def test_each_knock_has_a_sentence(outcome):
     knocks = (Knock("rear", FIRST, "stop_2", 0.021, 0.1, (FIRST,)), Knock("top", "stop_2", "stop_3", 0.3, 2.0, ()))
     told = explain(document_of(outcome=outcome, knocks=knocks))
     assert told.warnings[0] == (
-        "rear moved by 21 mm, 0.10 deg between stop_1 and stop_2; its pose is the one without stop_1. "
+        "rear moved by 21 mm, 0.10 deg between stop_1 and stop_2; the pose of rear is the one without stop_1. "
         "Check how rear is fastened, then calibrate again."
     )
     assert [warning.split()[0] for warning in told.warnings] == ["rear", "top"]

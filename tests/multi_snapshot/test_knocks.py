@@ -37,6 +37,7 @@ def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
     every = list(_knocked(pairs(_EVERY, np.random.default_rng(seed)), lidar, {"stop 4"}))
     (knock,) = refined(every).knocks
     assert (knock.lidar, knock.before, knock.after, knock.left_out) == (lidar, "stop 3", "stop 4", ("stop 4",))
+    assert not knock.rivals
     assert knock.distance_m == pytest.approx(0.02, abs=0.008)
 
 
@@ -90,7 +91,7 @@ def test_what_one_view_alone_tells_is_a_possible_knock(later, is_knock, seed, by
     """Six pairs share the errors of B at stop 4. A motion of A, with fewer pairs there, explains as much."""
     text = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B1 A2-B2 A3-B3 B1-B2 B2-B3 B1-B3 A4-B4 A2-B4 A3-B4 A1-B4 B3-B4 B2-B4"
     found = refined(list(_knocked(pairs(text, np.random.default_rng(seed)), "B", later, by_m)))
-    assert [knock.lidar for knock in found.knocks] == ["B"] * is_knock
+    assert [(knock.lidar, knock.rivals) for knock in found.knocks] == [("B", ("A",))] * is_knock
     assert is_knock or found.possible_knock.before == "stop 3"
 
 
