@@ -327,7 +327,8 @@ def require_calibratable(snapshot: Snapshot) -> None:
     source = snapshot.source or "The snapshot"
     if len(snapshot.lidars) < 2:
         only = f"only one LiDAR ({snapshot.names[0]})" if snapshot.names else "no LiDAR"
-        raise UnfitSnapshotError(f"{source} has {only}; calibration needs at least two.")
+        left_out = "".join(f" {note}" for note in snapshot.notes if " is left out: " in note)
+        raise UnfitSnapshotError(f"{source} has {only}; calibration needs at least two.{left_out}")
     empty = [lidar.name for lidar in snapshot.lidars if lidar.points_count == 0]
     filled = [lidar.name for lidar in snapshot.lidars if lidar.points_count > 0]
     if len(filled) < 2:

@@ -174,7 +174,7 @@ def _summary(
     live: bool = False,
 ) -> SourceSummary:
     try:
-        require_calibratable(snapshot)
+        require_calibratable(replace(snapshot, notes=()))
     except UnfitSnapshotError as error:
         objection = objection or str(error)
     return SourceSummary(

@@ -17,6 +17,7 @@ from multilica.errors import UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
+from multilica.ingest.selection.absent import why_absent
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.ingest.selection.topics import named_topics
@@ -70,7 +71,7 @@ def collect_frames(
     streams = [TopicFrames(name, frames if recording.damage else min(frames, counts[name])) for name in sorted(topics)]
     damage = _fill({stream.topic: stream for stream in streams}, recording, times, frames)
     faults = [fault for stream in streams for fault in stream.faults()]
-    shortages = [note for stream in streams for note in _shortages(stream, streams, damage)]
+    shortages = _all_shortages(streams, recording, times, damage)
     if damage and all(stream.is_full for stream in streams):
         shortages.append(f"{label} is damaged: {damage}; all wanted scans lie before that.")
     told = [
@@ -140,6 +141,18 @@ def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeR
             raise
         return error.reason
     return recording.damage
+
+
+def _all_shortages(streams: list[TopicFrames], recording: Recording, times: TimeRange, damage: str) -> list[str]:
+    present = {stream.topic: stream.clouds for stream in streams if stream.clouds}
+    begins_ns = [cloud.scan.log_time_ns for clouds in present.values() for cloud in clouds]
+    start_ns = times.start_ns or min(begins_ns, default=0)
+    notes: list[str] = []
+    for stream in streams:
+        is_missing = present and not (damage or stream.clouds or stream.broken or stream.lost)
+        why = why_absent(recording, stream.topic, present, start_ns) if is_missing else ""
+        notes += [f"'{stream.topic}' is left out: {why}."] if why else _shortages(stream, streams, damage)
+    return notes
 
 
 def _shortages(stream: TopicFrames, streams: list[TopicFrames], damage: str) -> list[str]:

@@ -171,7 +171,8 @@ def test_a_silent_topic_is_left_out(tmp_path: Path) -> None:
     config = IngestConfig(start_s=0.3)
     snapshot = read_snapshot(tmp_path / "a.mcap", config=config)
     assert snapshot.names == ("lidar_0",)
-    assert snapshot.notes == ("'/late' has 0 scans in the window, others have more.",)
+    ended = "'/late' is left out: its scans end 0.3 s before the window begins; --start 0 has all."
+    assert snapshot.notes == (ended,)
     for topic in ("/late", "/lat*"):
         with pytest.raises(UnfitSnapshotError, match=r"no scan of '/late' after 0\.3 s"):
             read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"topics": {"late": topic}}))
