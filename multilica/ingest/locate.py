@@ -6,13 +6,13 @@ from __future__ import annotations
 import os.path
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Literal
 
-from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
+from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError, listed
 from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
 from multilica.ingest.recording import sanitize_text
 from multilica.ingest.remote.address import require_readable, scheme_of
@@ -139,7 +139,12 @@ def are_stops(paths: Sequence[SourceFile]) -> bool:
     if any(source.recordings for source in sources) or len(names) < 2:
         return False
     are_folders = all((path / name).is_dir() for path in paths for name in names)
-    return are_folders or len({re.sub(r"\d+", "#", name) for name in names}) > 1
+    return are_folders or _are_lidars(names)
+
+
+def _are_lidars(names: Collection[str]) -> bool:
+    """Return whether names are of LiDARs rather than of frames, which only count."""
+    return len({re.sub(r"\d+", "#", name) for name in names}) > 1
 
 
 TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]
@@ -192,6 +197,7 @@ def _folder(folder: SourceFile) -> Source:
     files = [entry for entry in entries if entry.is_file()]
     recordings = [path for path in files if named_content(path) == "recording"]
     frames = _frames(entries)
+    _require_lidars(folder, frames)
     if recordings and frames:
         raise UsageError(
             f"{folder} holds recordings ({_names(recordings)}) and point files ({frames[0].topic}, ...); "
@@ -210,6 +216,18 @@ def _folder(folder: SourceFile) -> Source:
     is_listed = len(recordings) < 2 or (folder / _METADATA).exists()
     missing = _missing_parts(folder, recordings)
     return Source(str(folder), tuple(recordings), tuple(frames), missing=missing, is_listed=is_listed)
+
+
+def _require_lidars(folder: SourceFile, frames: Sequence[FrameFiles]) -> None:
+    """Raise UsageError if the folders are stops, each with a point file per LiDAR, rather than LiDARs."""
+    names = [{_stem(path) for path in each.files} for each in frames]
+    common = set.intersection(*names) if len(names) > 1 else set()
+    if _are_lidars(common):
+        raise UsageError(
+            f"{folder} holds {len(frames)} folders with point files of the same names ({listed(sorted(common))}), as "
+            f"stops of a drive with a file per LiDAR; give the folders themselves, as {folder}/*/. If each is a LiDAR, "
+            "name its frames by number, as 0001.pcd."
+        )
 
 
 def _frames(entries: list[SourceFile]) -> list[FrameFiles]:
