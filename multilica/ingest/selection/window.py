@@ -13,7 +13,7 @@ from statistics import median
 import numpy as np
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError, UnreadableSourceError
+from multilica.errors import UnfitSnapshotError, UnreadableSourceError, listed
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
@@ -26,6 +26,9 @@ from multilica.snapshot import Scan
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
 _MAX_BROKEN = 1000
+_MAX_RATE_HZ = 50.0
+"""LiDARs turn up to 25 times a second."""
+_LEAST_SCANS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +81,7 @@ def collect_frames(
         (each.topic, remark) for each in streams for remark in sorted({cloud.remark for cloud in each.clouds} - {""})
     ]
     remarks = [*times.notes, *(f"'{topic}' {remark}." for topic, remark in told), *_clock_notes(streams)]
+    remarks += _rate_notes({each.topic: _rate_hz(each, recording, times, counts[each.topic]) for each in streams})
     clouds = {
         stream.topic: tuple(sorted(stream.clouds, key=lambda cloud: cloud.scan.stamp_ns))
         for stream in streams
@@ -270,6 +274,34 @@ def _clock_notes(streams: list[TopicFrames]) -> list[str]:
         return []
     listed = ", ".join(f"'{topic}' by {offset_s:.3f} s" for topic, offset_s in sorted(offsets_s.items()))
     return [f"The stamps lag behind the log time: {listed}; the frames were chosen by log time."]
+
+
+def _rate_hz(stream: TopicFrames, recording: Recording, times: TimeRange, count: int) -> float:
+    """Return the scans per second; 0.0 if nothing tells."""
+    clouds = stream.clouds
+    if len(clouds) < _LEAST_SCANS:
+        return 0.0
+    if times.end_ns is not None and not times.is_dense:  # scans between were left out
+        span = recording.span_ns([stream.topic])
+        period_ns = (span[1] - span[0]) / max(1, count - 1) if span else 0.0
+    else:
+        # Stamps that were never set, or log times of a recorder that writes in bursts, tell nothing.
+        stamps, logged = [each.scan.stamp_ns for each in clouds], [each.scan.log_time_ns for each in clouds]
+        period_ns = max(float(np.median(np.diff(sorted(times_ns)))) for times_ns in (stamps, logged))
+    return 1e9 / period_ns if period_ns > 0.0 else 0.0
+
+
+def _rate_notes(rates_hz: Mapping[str, float]) -> list[str]:
+    """Return a note on topics whose scans follow each other faster than LiDARs turn, as single packets do."""
+    fast = {f"'{topic}'": round(rate_hz) for topic, rate_hz in sorted(rates_hz.items()) if rate_hz > _MAX_RATE_HZ}
+    if not fast:
+        return []
+    have, most = "has" if len(fast) == 1 else "have up to", max(fast.values())
+    told = (
+        f"{listed([*fast])} {have} {most} scans per second: they may be single packets, with a part of the view each; "
+        f"let the driver send whole turns, or take all of a second with --frames {most}."
+    )
+    return [told]
 
 
 def until_full(recording: Recording, streams: Mapping[str, TopicFrames], start_ns: int) -> Iterator[RawMessage]:
