@@ -23,6 +23,7 @@ PathLike = str | SourceFile
 _LISTED = 5
 _METADATA = "metadata.yaml"
 _PART = re.compile(r"\s*-\s+[\"']?(.+?)[\"']?\s*")
+_PART_NUMBER = re.compile(r"_([0-9]{1,9})$")
 _NUSCENES = ".pcd.bin"
 
 
@@ -45,6 +46,7 @@ class Source:
         recorders: bags of the same moment with different LiDARs.
         missing: files of the bag that do not exist.
         is_listed: False if nothing but their names says that the files are of one bag.
+        skipped: numbers that are missing between those of parts without a first one; None if there is a first one.
     """
 
     label: str
@@ -53,6 +55,15 @@ class Source:
     recorders: tuple[Source, ...] = ()
     missing: tuple[str, ...] = ()
     is_listed: bool = True
+    skipped: int | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what the user should know about the files."""
+        if self.skipped is None:
+            return ()
+        between = f", nor {self.skipped} between the others" if self.skipped else ""
+        return (f"The bag begins with {self.recordings[0].name}: its first parts are not in the folder{between}.",)
 
     @property
     def files(self) -> tuple[SourceFile, ...]:
@@ -214,8 +225,9 @@ def _folder(folder: SourceFile) -> Source:
             "or several of them if each holds another LiDAR."
         )
     is_listed = len(recordings) < 2 or (folder / _METADATA).exists()
-    missing = _missing_parts(folder, recordings)
-    return Source(str(folder), tuple(recordings), tuple(frames), missing=missing, is_listed=is_listed)
+    missing, numbers = _missing_parts(folder, recordings), _numbers(recordings)
+    skipped = None if is_listed or 0 in numbers else max(numbers) - min(numbers) + 1 - len(numbers)
+    return Source(str(folder), tuple(recordings), tuple(frames), (), missing, is_listed, skipped)
 
 
 def _require_lidars(folder: SourceFile, frames: Sequence[FrameFiles]) -> None:
@@ -269,10 +281,19 @@ def _are_one_bag(folder: SourceFile, recordings: Sequence[SourceFile]) -> bool:
     if any(named_format(path) is FORMATS["ros1"] for path in recordings):
         return False
     # The parts of a split bag are NAME_0.db3, NAME_1.db3, ... If the recorder dies, metadata.yaml is missing, and the
-    # last part is not compressed yet where the others are (NAME_0.db3.zstd).
-    stems = [Path(name_unpacked(path.name)).stem for path in recordings]
-    is_split = len({re.sub(r"_\d+$", "", stem) for stem in stems}) == 1 and any(stem.endswith("_0") for stem in stems)
+    # last part is not compressed yet where the others are (NAME_0.db3.zstd). A rolling log loses its first parts.
+    names, numbers = {_PART_NUMBER.sub("", _unpacked_stem(path)) for path in recordings}, _numbers(recordings)
+    is_split = len(names) == 1 and (0 in numbers or len(numbers) == len(recordings))
     return is_split or (folder / _METADATA).exists()
+
+
+def _numbers(recordings: Sequence[SourceFile]) -> set[int]:
+    """Return the numbers of those that are named like parts of a split bag."""
+    return {int(found[1]) for path in recordings if (found := _PART_NUMBER.search(_unpacked_stem(path)))}
+
+
+def _unpacked_stem(path: SourceFile) -> str:
+    return Path(name_unpacked(path.name)).stem
 
 
 def _missing_parts(folder: SourceFile, recordings: Sequence[SourceFile]) -> tuple[str, ...]:

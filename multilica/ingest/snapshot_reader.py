@@ -137,7 +137,7 @@ def read_ranges(
         given = choose_topics(recording, config.topics, found.label, config.only)
         static, unread, sha256 = (
             read_static_transforms(recording),
-            unread_notes(recording),
+            [*found.notes, *unread_notes(recording)],
             sha256_of_files(found.files),
         )
         for times in ranges:

@@ -129,7 +129,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
-        notes, chosen = unread_notes(recording), named_topics(given, config)
+        notes, chosen = [*found.notes, *unread_notes(recording)], named_topics(given, config)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=notes, chosen=chosen)
         snapshot = with_recorded_notes(snapshot, recording, found.files)
         snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
