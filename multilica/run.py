@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from multilica import events
-from multilica.config import CalibrationConfig, Stage
+from multilica.config import CalibrationConfig, Stage, require_ranges
 from multilica.drive_calibration import calibrate_jointly, wanted_stops, ways_of
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
@@ -148,6 +148,7 @@ def run_calibration(
     files = [] if address else [locate(source) for source in given]
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
+    require_ranges(config)
     deadline_s = deadline_of(config)
     if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")

@@ -99,7 +99,9 @@ def locate(source: PathLike) -> SourceFile:
     if isinstance(source, RemoteFile):
         return source
     require_readable(source)
-    return RemoteFile(str(source)) if scheme_of(source) else Path(source).expanduser()
+    if scheme_of(source):
+        return RemoteFile(str(source))
+    return Path(os.path.expanduser(source))  # noqa: PTH111 - a Path refuses an unknown user, and drops ./ before ~
 
 
 def names_of(paths: Sequence[SourceFile]) -> tuple[str, ...]:
