@@ -6,7 +6,7 @@ from __future__ import annotations
 import os.path
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import dropwhile, takewhile
 from pathlib import Path
@@ -47,6 +47,7 @@ class Source:
         missing: files of the bag that do not exist.
         is_listed: False if nothing but their names says that the files are of one bag.
         skipped: numbers that are missing between those of parts without a first one; None if there is a first one.
+        dangling: links in folders to what does not exist.
     """
 
     label: str
@@ -56,14 +57,26 @@ class Source:
     missing: tuple[str, ...] = ()
     is_listed: bool = True
     skipped: int | None = None
+    dangling: tuple[SourceFile, ...] = ()
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Return notes on files that are there in part, which the user may want to refuse."""
+        dangling = [*self.dangling, *(path for source in self.recorders for path in source.dangling)]
+        links = "is a link" if len(dangling) == 1 else "are links"
+        return (f"{listed(list(map(str, dangling)))} {links} to nothing, and left out.",) if dangling else ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Return what the user should know about the files."""
-        if self.skipped is None:
-            return ()
-        between = f", nor {self.skipped} between the others" if self.skipped else ""
-        return (f"The bag begins with {self.recordings[0].name}: its first parts are not in the folder{between}.",)
+        notes = [*self.faults]
+        notes += [note for source in self.recorders for note in source.notes if note not in source.faults]
+        if self.skipped is not None:
+            between = f", nor {self.skipped} between the others" if self.skipped else ""
+            notes.append(
+                f"The bag begins with {self.recordings[0].name}: its first parts are not in the folder{between}."
+            )
+        return tuple(notes)
 
     @property
     def files(self) -> tuple[SourceFile, ...]:
@@ -202,7 +215,7 @@ def _several(paths: list[SourceFile]) -> Source:
         topic = path.name if names[path.name] == 1 else str(path)
         lidar = _stem(path) if stems[_stem(path)] == 1 else f"{path.parent.name}_{_stem(path)}"
         lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
-    return Source(label, frames=tuple(lidars))
+    return Source(label, frames=tuple(lidars), dangling=tuple(link for source in sources for link in source.dangling))
 
 
 def _folder(folder: SourceFile) -> Source:
@@ -229,7 +242,17 @@ def _folder(folder: SourceFile) -> Source:
     is_listed = len(recordings) < 2 or (folder / _METADATA).exists()
     missing, numbers = _missing_parts(folder, recordings), _numbers(recordings)
     skipped = None if is_listed or 0 in numbers else max(numbers) - min(numbers) + 1 - len(numbers)
-    return Source(str(folder), tuple(recordings), tuple(frames), (), missing, is_listed, skipped)
+    dangling = tuple(_dangling([entry for entry in entries if isinstance(entry, Path)]))
+    return Source(str(folder), tuple(recordings), tuple(frames), (), missing, is_listed, skipped, dangling)
+
+
+def _dangling(entries: Sequence[Path]) -> Iterator[Path]:
+    """Yield the links to files of points, recordings or folders that do not exist; also those one folder below."""
+    below = (path for entry in entries if entry.is_dir() for path in sorted(entry.iterdir()))
+    for path in (*entries, *below):
+        is_meant = not path.suffix or named_content(path) in ("cloud", "recording")
+        if is_meant and path.is_symlink() and not path.exists():
+            yield path
 
 
 def _require_lidars(folder: SourceFile, frames: Sequence[FrameFiles]) -> None:

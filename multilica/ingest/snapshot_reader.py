@@ -8,11 +8,12 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError, listed
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UnreadableSourceError, UsageError, listed
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.live import LiveRecording, open_live
 from multilica.ingest.locate import (
     PathLike,
+    Source,
     are_stops,
     find_source,
     listed_names,
@@ -132,6 +133,8 @@ def read_ranges(
         )
     found = find_source(paths)
     config = config or config_for(found.files)
+    if config.strict and found.faults:
+        raise UnreadableSourceError(refused_as_strict(found))
     snapshots = []
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         given = choose_topics(recording, config.topics, found.label, config.only)
@@ -154,6 +157,11 @@ def read_ranges(
             observe(len(snapshots), len(ranges))
             start_s = end_s
     return tuple(snapshots)
+
+
+def refused_as_strict(found: Source) -> str:
+    """Return a sentence on files that are there in part, for `IngestConfig.strict`."""
+    return f"{found.label} is refused, as ingest.strict is set: {found.faults[0]}"
 
 
 def listen(

@@ -26,6 +26,7 @@ from multilica.ingest.snapshot_reader import (
     live_address,
     nothing_sent,
     open_vehicle,
+    refused_as_strict,
     require_calibratable,
 )
 from multilica.ingest.stops import standstills_of
@@ -129,6 +130,8 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
+        if config.strict and found.faults:
+            objection = objection or refused_as_strict(found)
         notes, chosen = [*found.notes, *unread_notes(recording)], named_topics(given, config)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=notes, chosen=chosen)
         snapshot = with_recorded_notes(snapshot, recording, found.files)
