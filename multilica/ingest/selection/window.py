@@ -16,7 +16,7 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError, listed
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
-from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
+from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Span
 from multilica.ingest.selection.absent import why_absent
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
@@ -81,7 +81,10 @@ def collect_frames(
         (each.topic, remark) for each in streams for remark in sorted({cloud.remark for cloud in each.clouds} - {""})
     ]
     remarks = [*times.notes, *(f"'{topic}' {remark}." for topic, remark in told), *_clock_notes(streams)]
-    remarks += _rate_notes({each.topic: _rate_hz(each, recording, times, counts[each.topic]) for each in streams})
+    is_spread = times.end_ns is not None and not times.is_dense  # scans between those that were taken are unknown
+    span = recording.span_ns(topics) if is_spread else None
+    rates_hz = {each.topic: _mean_rate_hz(counts[each.topic], span) if span else _rate_hz(each) for each in streams}
+    remarks += _rate_notes(rates_hz)
     clouds = {
         stream.topic: tuple(sorted(stream.clouds, key=lambda cloud: cloud.scan.stamp_ns))
         for stream in streams
@@ -276,18 +279,18 @@ def _clock_notes(streams: list[TopicFrames]) -> list[str]:
     return [f"The stamps lag behind the log time: {listed}; the frames were chosen by log time."]
 
 
-def _rate_hz(stream: TopicFrames, recording: Recording, times: TimeRange, count: int) -> float:
-    """Return the scans per second; 0.0 if nothing tells."""
-    clouds = stream.clouds
-    if len(clouds) < _LEAST_SCANS:
+def _mean_rate_hz(count: int, span: Span) -> float:
+    return 1e9 * (count - 1) / (span[1] - span[0]) if count >= _LEAST_SCANS and span[1] > span[0] else 0.0
+
+
+def _rate_hz(stream: TopicFrames) -> float:
+    """Return how often scans follow each other that were taken one after the other; 0.0 if nothing tells."""
+    if len(stream.clouds) < _LEAST_SCANS:
         return 0.0
-    if times.end_ns is not None and not times.is_dense:  # scans between were left out
-        span = recording.span_ns([stream.topic])
-        period_ns = (span[1] - span[0]) / max(1, count - 1) if span else 0.0
-    else:
-        # Stamps that were never set, or log times of a recorder that writes in bursts, tell nothing.
-        stamps, logged = [each.scan.stamp_ns for each in clouds], [each.scan.log_time_ns for each in clouds]
-        period_ns = max(float(np.median(np.diff(sorted(times_ns)))) for times_ns in (stamps, logged))
+    # Stamps that were never set, or log times of a recorder that writes in bursts, tell nothing.
+    stamps = [cloud.scan.stamp_ns for cloud in stream.clouds]
+    logged = [cloud.scan.log_time_ns for cloud in stream.clouds]
+    period_ns = max(float(np.median(np.diff(sorted(times_ns)))) for times_ns in (stamps, logged))
     return 1e9 / period_ns if period_ns > 0.0 else 0.0
 
 
