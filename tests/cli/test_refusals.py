@@ -103,6 +103,8 @@ def test_a_refusal_is_json_if_json_is_asked_for(make: object, code: str, invoke:
     document = json.loads(outcome.out)
     assert document == {"status": "failed", "refusal": {"code": code, "text": document["refusal"]["text"]}}
     assert outcome.err == f"multilica: {document['refusal']['text']}\n"
+    other = invoke("calibrate", tmp_path, "--rig", "nowhere.toml", "--json")
+    assert (other.code, json.loads(other.out)["refusal"]["code"]) == (ExitCode.INPUT, "not_found")
 
 
 def test_a_name_that_begins_with_a_tilde_is_a_name(invoke: Invoke, tmp_path: Path) -> None:

@@ -126,7 +126,8 @@ def calibrate(
     if rig is not None:
         from multilica import read_extrinsics
 
-        known = read_extrinsics(rig)
+        with _refusal_told(as_json=as_json):
+            known = read_extrinsics(rig)
         base = base or known.target
     given = {
         "target": target,
