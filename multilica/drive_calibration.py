@@ -18,8 +18,9 @@ from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.common_ground import ground_pairs
-from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
+from multilica.multi_snapshot.join import join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
+from multilica.multi_snapshot.snapshot_run import SnapshotRun
 from multilica.multi_snapshot.view_solution import solutions_on_plane, solve_views
 from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
@@ -285,5 +286,5 @@ def calibrate_alone(
     try:
         result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
     except UnfitSnapshotError as refusal:
-        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal))
+        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal), lidars=snapshot.names)
     return SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)

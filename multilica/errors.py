@@ -86,19 +86,25 @@ class MissingDependencyError(MultilicaError):
 
 
 class InputError(MultilicaError):
-    """A recording that cannot be used."""
+    """A recording that cannot be used; `code` is the stable name of the cause, for programs."""
+
+    code = "unusable"
 
 
 class SourceNotFoundError(InputError):
     """A path that does not exist."""
 
+    code = "not_found"
+
 
 class UnreadableSourceError(InputError):
     """A source that is corrupt, truncated, or of another format than its name says."""
 
+    code = "unreadable"
+
 
 class UnfitSnapshotError(InputError):
-    """A readable source that cannot be calibrated; `code` is the stable name of the cause, for programs."""
+    """A readable source that cannot be calibrated."""
 
     def __init__(self, message: str, code: str = "too_few_lidars") -> None:
         self.code = code

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of the LiDARs of a rig, in memory and as a TOML table."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -207,7 +208,7 @@ def read_extrinsics_table(path: str | Path, *, with_uncertain: bool = False) -> 
         SourceNotFoundError: no such file.
         UnreadableSourceError: not TOML, or not such a table.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
     try:
         values = parse_toml(read_limited(path, MAX_TOML_BYTES))
     except FileNotFoundError as error:

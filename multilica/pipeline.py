@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from threadpoolctl import threadpool_limits
 
 from multilica import events
-from multilica.config import STAGES, CalibrationConfig, Stage
+from multilica.config import STAGES, CalibrationConfig, Stage, require_ranges
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
@@ -67,6 +67,7 @@ def calibrate(
     """
     config = config or CalibrationConfig()
     clouds.require_libraries(config)
+    require_ranges(config)
     clouds.require_two_lidars(snapshot)
     if config.target:
         snapshot[config.target]

@@ -31,9 +31,17 @@ RING_NAMES = (_RING, "channel", "line", "laser_id")
 """Names of drivers for the number of a point's laser; the first that a cloud has is read."""
 _TIME = "time"
 _TIME_NAMES = ("t", _TIME, "timestamp", "time_stamp", "offset_time")
-"""Names of drivers for the time of a point: nanoseconds as whole numbers, else seconds, or nanoseconds as well."""
+"""Names of drivers for the time of a point: in seconds if not whole, or in a smaller unit."""
 _LONGEST_FRAME_NS = 1_000_000_000
 _SHORTEST_FRAME_NS = 1_000_000
+_FASTEST_NS, _SLOWEST_NS = 40_000_000, 250_000_000
+"""Shortest and longest turn of a LiDAR, from 25 to 4 Hz."""
+_LEAST_TURN = 500
+"""Points of a turn; a packet has fewer."""
+_MOST_SPANS = 10
+"""Times that begin later than this many of their spans are since the epoch, or since the sensor was switched on."""
+_LEAST_STEPS = 16
+"""Fewer different numbers of a float32 within a frame tell no times."""
 _UINT16, _UINT32, _FLOAT32 = 4, 6, 7
 
 
@@ -216,14 +224,39 @@ def finite_points(
 def _since_first_ns(times: Column) -> Uint32Array | None:
     """Return nanoseconds after the earliest time (N,); None if they differ by more, or less, than a frame lasts.
 
-    A field may be there without times, or in another unit.
+    A field may be there without times, or in a unit that the length of a turn does not tell. Lost beams have the time 0
+    among times since the epoch, and count as of the earliest one.
     """
     if not len(times) or not np.isfinite(times).all():
         return None
-    since = times - times.min() if times.dtype.kind == "f" else times.astype(np.int64) - int(times.min())
-    if times.dtype.kind == "f" and since.max() <= 1.0:
-        since = since * np.float64(_LONGEST_FRAME_NS)
-    return since.astype(np.uint32) if _SHORTEST_FRAME_NS <= since.max() <= _LONGEST_FRAME_NS else None
+    measured = times != 0
+    first, last = _ends(times[measured]) if measured.any() else (0, 0)
+    if first <= _MOST_SPANS * (last - first):
+        measured[:] = True
+        first, last = _ends(times)
+    unit_ns = _unit_ns(last - first, is_float=times.dtype.kind == "f", is_turn=len(times) >= _LEAST_TURN)
+    if unit_ns is None or (times.dtype.kind == "f" and last - first < _LEAST_STEPS * np.spacing(np.abs(times).max())):
+        return None
+    since = times - times.dtype.type(first)
+    return np.where(measured, since * np.float64(unit_ns) if unit_ns > 1 else since, 0).astype(np.uint32)
+
+
+def _ends(times: Column) -> tuple[float, float]:
+    """Return the earliest and the latest time, as Python's numbers, which do not overflow."""
+    return times.min().item(), times.max().item()
+
+
+def _unit_ns(span: float, *, is_float: bool, is_turn: bool) -> int | None:
+    """Return the unit of times that span a frame; None if there is none, or it might be another one.
+
+    A single packet in nanoseconds may span what a turn does in microseconds.
+    """
+    if is_float and span <= 1.0:
+        return _LONGEST_FRAME_NS if span >= _SHORTEST_FRAME_NS / _LONGEST_FRAME_NS else None
+    if _SHORTEST_FRAME_NS <= span <= _LONGEST_FRAME_NS:
+        return 1
+    units_ns = (1_000, 1_000_000) if is_turn else ()
+    return next((unit_ns for unit_ns in units_ns if _FASTEST_NS <= span * unit_ns <= _SLOWEST_NS), None)
 
 
 def _whole(numbers: Column) -> Uint16Array | None:

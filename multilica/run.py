@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from multilica import events
-from multilica.config import CalibrationConfig, Stage
+from multilica.config import CalibrationConfig, Stage, require_ranges
 from multilica.drive_calibration import calibrate_jointly, wanted_stops, ways_of
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
@@ -74,6 +74,7 @@ class _Given:
         source: of the recording, without folders.
         snapshot: None if it is read when its turn comes.
         address: of a running vehicle instead of files.
+        lidars: names, as far as they were found before reading.
     """
 
     name: str
@@ -81,6 +82,7 @@ class _Given:
     paths: tuple[SourceFile, ...]
     snapshot: Snapshot | None = None
     address: str = ""
+    lidars: tuple[str, ...] = ()
 
     def read(self, config: CalibrationConfig) -> TakenSnapshot:
         if self.snapshot is not None:
@@ -148,6 +150,7 @@ def run_calibration(
     files = [] if address else [locate(source) for source in given]
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
+    require_ranges(config)
     deadline_s = deadline_of(config)
     if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
@@ -172,7 +175,10 @@ def _find(
         if config.target:
             require_lidar(config.target, found)
         names = names_of([source.paths[0] for source in found])
-        return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
+        return [
+            _Given(source.name, name, source.paths, lidars=source.lidars)
+            for source, name in zip(found, names, strict=True)
+        ]
     (only,) = found
     wanted = wanted_stops(config)
 
@@ -314,5 +320,6 @@ def _run_alone(
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(given.name, str(refusal)))
         (told,) = without_folders([str(refusal)], given.paths)
-        return SnapshotRun(given.name, None, given.source, refusal=told)
+        lidars = given.lidars if given.snapshot is None else given.snapshot.names
+        return SnapshotRun(given.name, None, given.source, refusal=told, lidars=lidars)
     return SnapshotRun(given.name, result, given.source, snapshot.source_sha256)

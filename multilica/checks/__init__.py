@@ -10,7 +10,13 @@ from multilica.checks.comparison import (
     relative_covariance,
 )
 from multilica.checks.known_poses import check_found, decide_unplaced, verify_snapshot
-from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
+from multilica.checks.reference import (
+    accept_run,
+    poses_of,
+    read_reference,
+    require_known_lidars,
+    require_reference,
+)
 from multilica.checks.stops import settle_stops, verify_stops, without_common_view
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 
@@ -29,6 +35,7 @@ __all__ = [
     "read_reference",
     "read_tolerances",
     "relative_covariance",
+    "require_known_lidars",
     "require_reference",
     "settle_stops",
     "verify_snapshot",

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, joint_verdict
 from multilica.errors import escape_controls
-from multilica.sinks.files.atomic import atomic_file, write_text_atomically
+from multilica.sinks.files.atomic import atomic_file, require_writable, write_text_atomically
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -50,9 +50,7 @@ def write_reports(
         step_summary: file of GitHub Actions that the summary is added to.
     """
     written = []
-    for path in (junit, summary, code_quality):
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
+    require_reports(junit, summary, code_quality)
     if junit is not None:
         write_text_atomically(junit, junit_xml(rigs, timestamp))
         written.append(junit)
@@ -69,6 +67,12 @@ def write_reports(
         with Path(step_summary).open("a", encoding="utf-8") as stream_of_step:
             stream_of_step.write(summary_markdown(rigs, reference))
     return written
+
+
+def require_reports(*paths: Path | None) -> None:
+    """Make the folders of reports, and raise OSError if one of these cannot be written, before the work is done."""
+    for path in filter(None, paths):
+        require_writable(path)
 
 
 def word_of(check: LidarCheck) -> str:

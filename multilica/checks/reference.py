@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference extrinsics of a check: read from a file, or accepted from a reviewed run."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from multilica.checks.comparison import RigCheck, check_rig
 from multilica.checks.tolerances import RigTolerances
 from multilica.documents import MAX_TOML_BYTES, read_limited
-from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourceError, UsageError
+from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourceError, UsageError, listed
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.geometry import RigidTransform
@@ -20,6 +20,26 @@ def require_reference(path: Path) -> None:
     """Raise SourceNotFoundError if there is no reference."""
     if not path.exists():
         raise SourceNotFoundError(f"No reference at {path}; give a calibration.toml, a run, or another file of poses.")
+
+
+def require_known_lidars(path: Path, tolerances: RigTolerances, named: Collection[str] = ()) -> None:
+    """Raise UsageError if a LiDAR has a tolerance, yet is neither in the reference nor among those that are named.
+
+    Errors of a reference that cannot be read are those of `poses_of`.
+    """
+    if not tolerances.lidars:
+        return
+    # Without a pose that is certain, a LiDAR is still one of the vehicle.
+    known = (
+        {*read_run_document(path).document.lidars}
+        if is_run(path)
+        else read_extrinsics(path, with_uncertain=True).members
+    )
+    if unknown := sorted({*tolerances.lidars} - known - {*named}):
+        raise UsageError(
+            f"There is a tolerance for '{unknown[0]}', which {path} does not have; expected one of "
+            f"{listed(sorted(known))}."
+        )
 
 
 def poses_of(path: Path) -> Extrinsics:

@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of multilica, each once, with its unit, default and meaning."""
 
-from multilica.config.loading import PRESETS, known_keys, load_config, preset, read_config_table, with_overrides
+from multilica.config.loading import (
+    PRESETS,
+    known_keys,
+    load_config,
+    preset,
+    read_config_table,
+    require_ranges,
+    with_overrides,
+)
 from multilica.config.sections import (
     STAGES,
     AcceptanceConfig,
@@ -43,5 +51,6 @@ __all__ = [
     "load_config",
     "preset",
     "read_config_table",
+    "require_ranges",
     "with_overrides",
 ]

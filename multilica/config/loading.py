@@ -90,6 +90,7 @@ def load_config(path: Path | str) -> CalibrationConfig:
     config = _merged(base, table, str(path))
     # A file that `multilica config --toml` wrote has every key.
     _refuse_unused(config, {key: str(path) for key in _USED_WITH if _value(config, key) != _value(base, key)})
+    require_ranges(config, f"In {path}, ")
     return config
 
 
@@ -127,7 +128,21 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
         config = _merged(config, table, f"setting '{override}'")
         given |= {known: f"setting '{override}'" for known in _USED_WITH if _has(table, known)}
     _refuse_unused(config, given)
+    require_ranges(config)
     return config
+
+
+def require_ranges(config: CalibrationConfig, where: str = "") -> None:
+    """Raise ConfigError if no return can lie between the range limits; `where` begins the sentence.
+
+    Sections cannot check it: settings are applied one after the other.
+    """
+    limits = config.preprocess
+    if limits.min_range_m >= limits.max_range_m:
+        raise ConfigError(
+            f"{where}preprocess.min_range_m is {limits.min_range_m:g} and preprocess.max_range_m "
+            f"{limits.max_range_m:g}: no return lies between; set the first to less than the second."
+        )
 
 
 def _refuse_unused(config: CalibrationConfig, given: Mapping[str, str]) -> None:

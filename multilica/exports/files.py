@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of extrinsics in any format, also of saved runs, in the frame and under the names that are asked for."""
 
+import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,7 +73,7 @@ def read_extrinsics(path: str | Path, format: str | None = None, *, with_uncerta
         UnreadableSourceError: it is broken, no tree of frames, or not of the format.
         UnknownNameError: there is no such format.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
     if format is not None:
         format_named(format)
     if not path.exists():

@@ -10,18 +10,18 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from pathlib import Path
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
+from multilica.errors import SourceNotFoundError, listed
 from multilica.fleet.listing import FleetLog, find_logs
 from multilica.fleet.patterns import LogPattern
 from multilica.fleet.plan import Plan, QueuedLog, full_disk_named
 from multilica.fleet.store.records import LogRow
-from multilica.fleet.store.store import Store
+from multilica.fleet.store.store import Store, local_path
 from multilica.fleet.tasks.guard import Calibrate, LogTask, LogTaskLimits, identify_guarded, open_executor, run_guarded
 from multilica.fleet.vehicle_chain import VehicleChain
-from multilica.ingest.remote.address import scheme_of
+from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.scratch import scratch_folder
 
 # Tasks that wait at the executor for each that runs, so that none waits for the driver.
@@ -94,6 +94,7 @@ def run_fleet(
 
     Raises:
         MultilicaError: as `find_logs` and `open_executor`.
+        SourceNotFoundError: no log is found.
         StorageError: the store or a disk is full or refuses. The log at hand has no row, so the next run goes on.
     """
     outcome, digest = FleetOutcome(), _config_digest(options)
@@ -106,6 +107,11 @@ def run_fleet(
         plan.add(find_logs(logs, options.pattern, outcome.count_unlike))
         plan.settle(lambda addresses: executor.map(partial(identify_guarded, limits=options.limits), addresses))
         outcome.found, to_do = plan.counts()
+        if not outcome.found:
+            given = [without_secrets(each) if scheme_of(each) else each for each in logs]
+            raise SourceNotFoundError(
+                f"No log was found in {listed(given)}; expected recordings, folders with point files, or a manifest."
+            )
         outcome.skipped = outcome.found - to_do
         observe(outcome)
         make = partial(_task, store=store, options=options, config_sha256=digest)
@@ -126,7 +132,7 @@ def _config_digest(options: FleetOptions) -> str:
 def _task(log: QueuedLog, reference: str, *, store: Store, options: FleetOptions, config_sha256: str) -> LogTask:
     return LogTask(
         **{name: value for name, value in asdict(log).items() if name not in ("finished", "accepted")},
-        store=store.address if scheme_of(store.address) else str(Path(store.address).expanduser().absolute()),
+        store=store.address if scheme_of(store.address) else local_path(store.address),
         config=options.config,
         config_sha256=config_sha256,
         tolerances=options.tolerances,

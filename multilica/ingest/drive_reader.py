@@ -31,8 +31,8 @@ from multilica.snapshot import Scan, Snapshot
 _LEAST_DRIVE_NS = 4 * 10**9
 """Two standstills of a second each and the way between them take longer."""
 _NO_STOPS = (
-    "The vehicle drives in this log, and fewer than two stops of a second were found: only the first frames are "
-    "used; choose others with --start or --stops."
+    "The vehicle drives in this log, and fewer than two stops of a second were found: only frames of one place "
+    "are used; choose others with --start or --window."
 )
 _LOOKS = 4
 _LAST_NS = 10**9
@@ -128,10 +128,16 @@ def read_log(
     if len(kept) < len(stops):
         told = f"{len(kept)} of {len(stops)} stops are used: more take more memory than ingest.max_memory_mb allows."
         snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
-    if wanted != "auto" and len(stops) < wanted:
-        told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
+    if wanted != "auto" and (told := too_few_stops(stops, wanted)):
         snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
     return tuple(snapshots)
+
+
+def too_few_stops(stops: Sequence[Stop], wanted: int | Literal["auto"]) -> str:
+    """Return a sentence if `stops_of_log` found fewer stops than asked for, or none in a log that drives."""
+    if wanted != "auto" and 0 < len(stops) < wanted:
+        return f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
+    return stops[0].why if [stop.why for stop in stops] == [_NO_STOPS] else ""
 
 
 def _with_ways(snapshots: list[Snapshot], stops: Sequence[Stop], config: IngestConfig | None) -> list[Snapshot]:

@@ -6,13 +6,13 @@ from __future__ import annotations
 import os.path
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Literal
 
-from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
+from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError, listed
 from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
 from multilica.ingest.recording import sanitize_text
 from multilica.ingest.remote.address import require_readable, scheme_of
@@ -23,6 +23,7 @@ PathLike = str | SourceFile
 _LISTED = 5
 _METADATA = "metadata.yaml"
 _PART = re.compile(r"\s*-\s+[\"']?(.+?)[\"']?\s*")
+_PART_NUMBER = re.compile(r"_([0-9]{1,9})$")
 _NUSCENES = ".pcd.bin"
 
 
@@ -45,6 +46,8 @@ class Source:
         recorders: bags of the same moment with different LiDARs.
         missing: files of the bag that do not exist.
         is_listed: False if nothing but their names says that the files are of one bag.
+        skipped: numbers that are missing between those of parts without a first one; None if there is a first one.
+        dangling: links in folders to what does not exist.
     """
 
     label: str
@@ -53,6 +56,27 @@ class Source:
     recorders: tuple[Source, ...] = ()
     missing: tuple[str, ...] = ()
     is_listed: bool = True
+    skipped: int | None = None
+    dangling: tuple[SourceFile, ...] = ()
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Return notes on files that are there in part, which the user may want to refuse."""
+        dangling = [*self.dangling, *(path for source in self.recorders for path in source.dangling)]
+        links = "is a link" if len(dangling) == 1 else "are links"
+        return (f"{listed(list(map(str, dangling)))} {links} to nothing, and left out.",) if dangling else ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what the user should know about the files."""
+        notes = [*self.faults]
+        notes += [note for source in self.recorders for note in source.notes if note not in source.faults]
+        if self.skipped is not None:
+            between = f", nor {self.skipped} between the others" if self.skipped else ""
+            notes.append(
+                f"The bag begins with {self.recordings[0].name}: its first parts are not in the folder{between}."
+            )
+        return tuple(notes)
 
     @property
     def files(self) -> tuple[SourceFile, ...]:
@@ -88,7 +112,9 @@ def locate(source: PathLike) -> SourceFile:
     if isinstance(source, RemoteFile):
         return source
     require_readable(source)
-    return RemoteFile(str(source)) if scheme_of(source) else Path(source).expanduser()
+    if scheme_of(source):
+        return RemoteFile(str(source))
+    return Path(os.path.expanduser(source))  # noqa: PTH111 - a Path refuses an unknown user, and drops ./ before ~
 
 
 def names_of(paths: Sequence[SourceFile]) -> tuple[str, ...]:
@@ -139,7 +165,12 @@ def are_stops(paths: Sequence[SourceFile]) -> bool:
     if any(source.recordings for source in sources) or len(names) < 2:
         return False
     are_folders = all((path / name).is_dir() for path in paths for name in names)
-    return are_folders or len({re.sub(r"\d+", "#", name) for name in names}) > 1
+    return are_folders or _are_lidars(names)
+
+
+def _are_lidars(names: Collection[str]) -> bool:
+    """Return whether names are of LiDARs rather than of frames, which only count."""
+    return len({re.sub(r"\d+", "#", name) for name in names}) > 1
 
 
 TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]
@@ -184,7 +215,7 @@ def _several(paths: list[SourceFile]) -> Source:
         topic = path.name if names[path.name] == 1 else str(path)
         lidar = _stem(path) if stems[_stem(path)] == 1 else f"{path.parent.name}_{_stem(path)}"
         lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
-    return Source(label, frames=tuple(lidars))
+    return Source(label, frames=tuple(lidars), dangling=tuple(link for source in sources for link in source.dangling))
 
 
 def _folder(folder: SourceFile) -> Source:
@@ -192,6 +223,7 @@ def _folder(folder: SourceFile) -> Source:
     files = [entry for entry in entries if entry.is_file()]
     recordings = [path for path in files if named_content(path) == "recording"]
     frames = _frames(entries)
+    _require_lidars(folder, frames)
     if recordings and frames:
         raise UsageError(
             f"{folder} holds recordings ({_names(recordings)}) and point files ({frames[0].topic}, ...); "
@@ -208,8 +240,31 @@ def _folder(folder: SourceFile) -> Source:
             "or several of them if each holds another LiDAR."
         )
     is_listed = len(recordings) < 2 or (folder / _METADATA).exists()
-    missing = _missing_parts(folder, recordings)
-    return Source(str(folder), tuple(recordings), tuple(frames), missing=missing, is_listed=is_listed)
+    missing, numbers = _missing_parts(folder, recordings), _numbers(recordings)
+    skipped = None if is_listed or 0 in numbers else max(numbers) - min(numbers) + 1 - len(numbers)
+    dangling = tuple(_dangling([entry for entry in entries if isinstance(entry, Path)]))
+    return Source(str(folder), tuple(recordings), tuple(frames), (), missing, is_listed, skipped, dangling)
+
+
+def _dangling(entries: Sequence[Path]) -> Iterator[Path]:
+    """Yield the links to files of points, recordings or folders that do not exist; also those one folder below."""
+    below = (path for entry in entries if entry.is_dir() for path in sorted(entry.iterdir()))
+    for path in (*entries, *below):
+        is_meant = not path.suffix or named_content(path) in ("cloud", "recording")
+        if is_meant and path.is_symlink() and not path.exists():
+            yield path
+
+
+def _require_lidars(folder: SourceFile, frames: Sequence[FrameFiles]) -> None:
+    """Raise UsageError if the folders are stops, each with a point file per LiDAR, rather than LiDARs."""
+    names = [{_stem(path) for path in each.files} for each in frames]
+    common = set.intersection(*names) if len(names) > 1 else set()
+    if _are_lidars(common):
+        raise UsageError(
+            f"{folder} holds {len(frames)} folders with point files of the same names ({listed(sorted(common))}), as "
+            f"stops of a drive with a file per LiDAR; give the folders themselves, as {folder}/*/. If each is a LiDAR, "
+            "name its frames by number, as 0001.pcd."
+        )
 
 
 def _frames(entries: list[SourceFile]) -> list[FrameFiles]:
@@ -251,10 +306,19 @@ def _are_one_bag(folder: SourceFile, recordings: Sequence[SourceFile]) -> bool:
     if any(named_format(path) is FORMATS["ros1"] for path in recordings):
         return False
     # The parts of a split bag are NAME_0.db3, NAME_1.db3, ... If the recorder dies, metadata.yaml is missing, and the
-    # last part is not compressed yet where the others are (NAME_0.db3.zstd).
-    stems = [Path(name_unpacked(path.name)).stem for path in recordings]
-    is_split = len({re.sub(r"_\d+$", "", stem) for stem in stems}) == 1 and any(stem.endswith("_0") for stem in stems)
+    # last part is not compressed yet where the others are (NAME_0.db3.zstd). A rolling log loses its first parts.
+    names, numbers = {_PART_NUMBER.sub("", _unpacked_stem(path)) for path in recordings}, _numbers(recordings)
+    is_split = len(names) == 1 and (0 in numbers or len(numbers) == len(recordings))
     return is_split or (folder / _METADATA).exists()
+
+
+def _numbers(recordings: Sequence[SourceFile]) -> set[int]:
+    """Return the numbers of those that are named like parts of a split bag."""
+    return {int(found[1]) for path in recordings if (found := _PART_NUMBER.search(_unpacked_stem(path)))}
+
+
+def _unpacked_stem(path: SourceFile) -> str:
+    return Path(name_unpacked(path.name)).stem
 
 
 def _missing_parts(folder: SourceFile, recordings: Sequence[SourceFile]) -> tuple[str, ...]:

@@ -8,13 +8,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
-from itertools import combinations, islice, zip_longest
+from itertools import combinations, islice, pairwise, zip_longest
 from pathlib import Path
 from typing import cast
 
 import zstandard
 
-from multilica.errors import UnreadableSourceError, UsageError
+from multilica.errors import UnreadableSourceError, UsageError, listed
 from multilica.ingest.formats import FileFormat, detect_format, named_format
 from multilica.ingest.locate import FrameFiles, Source, locate
 from multilica.ingest.memory import memory_budget
@@ -40,6 +40,9 @@ _ALWAYS_BYTES = 64 << 20
 
 _MAX_TRIES = 4
 """Scans to try for the frame id; the first ones may be broken."""
+
+_MAX_GAP_NS = 2 * 10**9
+"""A recorder goes on with the next part of a bag at once."""
 
 _MAX_FILE_BYTES = 1 << 30
 """A file with thirty million points is a map, not a scan."""
@@ -120,6 +123,8 @@ def _open_parts(source: Source) -> Recording:
             opened.enter_context(closing(part))
         if not source.is_listed:
             _require_in_turn(source.label, parts)
+        if source.skipped is not None:
+            _require_one_log(source, parts, source.skipped + len(errors))
         return _CombinedRecording(title, parts, topics, opened.pop_all(), damage)
 
 
@@ -131,6 +136,19 @@ def _require_in_turn(label: str, parts: Sequence[Recording]) -> None:
             raise UsageError(
                 f"{label} holds {len(parts)} recordings of the same time, which are no parts of one bag; give them one "
                 "by one if each holds another LiDAR, else one of them."
+            )
+
+
+def _require_one_log(source: Source, parts: Sequence[Recording], absent: int) -> None:
+    """Raise UsageError if the time between parts is longer than the absent ones explain: they are several logs."""
+    spans = sorted(span for part in parts if (span := part.span_ns([topic.name for topic in part.topics])))
+    longest_ns = max((last_ns - first_ns for first_ns, last_ns in spans), default=0)
+    for one, other in pairwise(spans):
+        if other[0] - one[1] > _MAX_GAP_NS + 2 * absent * longest_ns:
+            raise UsageError(
+                f"{source.label} holds {len(parts)} recordings ({listed([file.name for file in source.recordings])}) "
+                f"with {(other[0] - one[1]) / 1e9:.1f} s between two of them, which are no parts of one bag; give one "
+                "of them by its name, or all of them if they are of one rig."
             )
 
 

@@ -8,11 +8,12 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError, listed
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UnreadableSourceError, UsageError, listed
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.live import LiveRecording, open_live
 from multilica.ingest.locate import (
     PathLike,
+    Source,
     are_stops,
     find_source,
     listed_names,
@@ -132,12 +133,14 @@ def read_ranges(
         )
     found = find_source(paths)
     config = config or config_for(found.files)
+    if config.strict and found.faults:
+        raise UnreadableSourceError(refused_as_strict(found))
     snapshots = []
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         given = choose_topics(recording, config.topics, found.label, config.only)
         static, unread, sha256 = (
             read_static_transforms(recording),
-            unread_notes(recording),
+            [*found.notes, *unread_notes(recording)],
             sha256_of_files(found.files),
         )
         for times in ranges:
@@ -154,6 +157,11 @@ def read_ranges(
             observe(len(snapshots), len(ranges))
             start_s = end_s
     return tuple(snapshots)
+
+
+def refused_as_strict(found: Source) -> str:
+    """Return a sentence on files that are there in part, for `IngestConfig.strict`."""
+    return f"{found.label} is refused, as ingest.strict is set: {found.faults[0]}"
 
 
 def listen(
@@ -327,7 +335,8 @@ def require_calibratable(snapshot: Snapshot) -> None:
     source = snapshot.source or "The snapshot"
     if len(snapshot.lidars) < 2:
         only = f"only one LiDAR ({snapshot.names[0]})" if snapshot.names else "no LiDAR"
-        raise UnfitSnapshotError(f"{source} has {only}; calibration needs at least two.")
+        left_out = "".join(f" {note}" for note in snapshot.notes if " is left out: " in note)
+        raise UnfitSnapshotError(f"{source} has {only}; calibration needs at least two.{left_out}")
     empty = [lidar.name for lidar in snapshot.lidars if lidar.points_count == 0]
     filled = [lidar.name for lidar in snapshot.lidars if lidar.points_count > 0]
     if len(filled) < 2:

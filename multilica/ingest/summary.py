@@ -26,6 +26,7 @@ from multilica.ingest.snapshot_reader import (
     live_address,
     nothing_sent,
     open_vehicle,
+    refused_as_strict,
     require_calibratable,
 )
 from multilica.ingest.stops import standstills_of
@@ -48,7 +49,7 @@ class CloudTopicSummary:
         rate_hz: mean over the recording; None below two scans, or without time.
         points_min, points_median, points_max: finite points per scan of the window, without zeros of lost beams.
         range_median_m, range_max_m: distance of finite points from the sensor; None without any.
-        first_ns, last_ns: log times of the first and the last scan; None without time.
+        first_ns, last_ns: log times of the first and the last scan, since the clock was set; None without time.
     """
 
     topic: str
@@ -129,13 +130,15 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
-        notes, chosen = unread_notes(recording), named_topics(given, config)
+        if config.strict and found.faults:
+            objection = objection or refused_as_strict(found)
+        notes, chosen = [*found.notes, *unread_notes(recording)], named_topics(given, config)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=notes, chosen=chosen)
         snapshot = with_recorded_notes(snapshot, recording, found.files)
         snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
-        spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
-        summary = _summary(snapshot, recording, window, spans, objection)
         span, still = cloud_span(recording), standstills_of(recording, given)
+        spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
+        summary = _summary(snapshot, recording, window, spans, objection, since_ns=span[0] if span else 0)
         return replace(
             summary,
             source=found.label,
@@ -171,17 +174,19 @@ def _summary(
     spans: Mapping[str, Span | None],
     objection: str,
     *,
+    since_ns: int = 0,
     live: bool = False,
 ) -> SourceSummary:
+    """Summarise what was read; the clock was set at `since_ns`."""
     try:
-        require_calibratable(snapshot)
+        require_calibratable(replace(snapshot, notes=()))
     except UnfitSnapshotError as error:
         objection = objection or str(error)
     return SourceSummary(
         source=snapshot.source,
         format=recording.format,
         clouds=tuple(
-            _cloud_summary(topic, window.clouds.get(topic.name, ()), spans.get(topic.name), snapshot)
+            _cloud_summary(topic, window.clouds.get(topic.name, ()), spans.get(topic.name), snapshot, since_ns)
             for topic in recording.topics
             if is_cloud(topic)
         ),
@@ -218,18 +223,15 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
     return given, window, ""
 
 
-def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, snapshot: Snapshot) -> CloudTopicSummary:
+def _cloud_summary(
+    topic: Topic, frames: Sequence[Cloud], span: Span | None, snapshot: Snapshot, since_ns: int
+) -> CloudTopicSummary:
     lidar = next((lidar.name for lidar in snapshot.lidars if lidar.topic == topic.name), "")
     ranges_m = [np.linalg.norm(frame.scan.points_m.astype(np.float64), axis=1) for frame in frames]
     ranges_m = [each_m[each_m > 0.0] for each_m in ranges_m]
     counts = [len(each_m) for each_m in ranges_m] or [0]
     joined_m = np.concatenate([*ranges_m, np.empty(0)])
-    first_ns, last_ns = span or (None, None)
-    rate_hz = None
-    if topic.count >= 2 and span is not None and span[1] > span[0]:
-        # All turns lie between the first and the last packet, but one less between the first and the last scan.
-        periods = topic.count if topic.encoding == OUSTER_TURN else topic.count - 1
-        rate_hz = periods * _NS_PER_S / (span[1] - span[0])
+    first_ns, last_ns = (max(span[0], min(since_ns, span[1])), span[1]) if span else (None, None)
     return CloudTopicSummary(
         topic=topic.name,
         message_type=topic.message_type,
@@ -237,7 +239,7 @@ def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, sna
         lidar=lidar,
         frames=topic.count,
         frames_taken=len(frames) if lidar else 0,
-        rate_hz=rate_hz,
+        rate_hz=_rate_hz(topic, frames, span, since_ns),
         points_min=min(counts),
         points_median=int(np.median(counts)),
         points_max=max(counts),
@@ -246,3 +248,15 @@ def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, sna
         first_ns=first_ns,
         last_ns=last_ns,
     )
+
+
+def _rate_hz(topic: Topic, frames: Sequence[Cloud], span: Span | None, since_ns: int) -> float | None:
+    """Return the mean rate; that of the frames of the window if some scans were recorded before the clock was set."""
+    if topic.count < 2 or span is None or span[1] <= span[0]:
+        return None
+    if span[0] >= since_ns:
+        # All turns lie between the first and the last packet, but one less between the first and the last scan.
+        periods = topic.count if topic.encoding == OUSTER_TURN else topic.count - 1
+        return periods * _NS_PER_S / (span[1] - span[0])
+    steps_ns = np.diff(sorted(frame.scan.log_time_ns for frame in frames))
+    return float(_NS_PER_S / np.median(steps_ns)) if steps_ns.size and 0 < np.median(steps_ns) < _NS_PER_S else None

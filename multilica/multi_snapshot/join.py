@@ -26,6 +26,7 @@ from multilica.multi_snapshot.pose_conflicts import (
     without_conflicts,
 )
 from multilica.multi_snapshot.replay import shown_snapshot
+from multilica.multi_snapshot.snapshot_run import SnapshotRun, only_refused
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
 from multilica.results import (
     CalibrationResult,
@@ -46,24 +47,6 @@ from multilica.results.values import ONLY_MOTION
 from multilica.stages.refine import RefinedRig
 
 _BY_GROUND = "only the ground tells its height"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SnapshotRun:
-    """One snapshot with its own calibration.
-
-    Args:
-        name: unique name of the snapshot.
-        result: None if the snapshot was refused.
-        source, source_sha256: as in `Snapshot`.
-        refusal: why it was refused; empty if it was calibrated.
-    """
-
-    name: str
-    result: CalibrationResult | None
-    source: str = ""
-    source_sha256: str = ""
-    refusal: str = ""
 
 
 def require_joinable(config: CalibrationConfig) -> None:
@@ -183,7 +166,8 @@ def join(
         else replace(each, contested=contested_place(each.lidar, result.poses, shown.pairs))
         for each in result.placements
     )
-    return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
+    every = sorted((*placements, *only_refused(runs, lidars)), key=lambda placement: placement.lidar)
+    return replace(result, placements=tuple(every), pairs=shown.pairs, health=shown.health)
 
 
 def choose_target(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,28 @@ def test_calibrate_refuses_unfit_input(make: object, invoke: Invoke, tmp_path: P
     assert_one_sentence(outcome, ExitCode.INPUT)
     assert outcome.out == ""
     assert not Path("run").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "code"), [(missing, "not_found"), (empty, "unreadable"), (one_lidar_only, "too_few_lidars")]
+)
+def test_a_refusal_is_json_if_json_is_asked_for(make: object, code: str, invoke: Invoke, tmp_path: Path) -> None:
+    outcome = invoke("calibrate", make(tmp_path), "--json", "--out", "run")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    document = json.loads(outcome.out)
+    assert document == {"status": "failed", "refusal": {"code": code, "text": document["refusal"]["text"]}}
+    assert outcome.err == f"multilica: {document['refusal']['text']}\n"
+    other = invoke("calibrate", tmp_path, "--rig", "nowhere.toml", "--json")
+    assert (other.code, json.loads(other.out)["refusal"]["code"]) == (ExitCode.INPUT, "not_found")
+
+
+def test_a_name_that_begins_with_a_tilde_is_a_name(invoke: Invoke, tmp_path: Path) -> None:
+    empty(tmp_path).rename(tmp_path / "~nobody.mcap")
+    for source in ("./~nobody.mcap", "~nobody.mcap"):
+        outcome = invoke("calibrate", source, "--out", "./~nobody")
+        assert_one_sentence(outcome, ExitCode.INPUT)
+        assert outcome.err.startswith("multilica: ~nobody.mcap is empty")
+    assert_one_sentence(invoke("calibrate", tmp_path, "--rig", "./~nobody.toml"), ExitCode.INPUT)
 
 
 @pytest.mark.parametrize("make", [missing, empty, not_what_its_name_says, cut_off_before_any_scan])

@@ -7,12 +7,13 @@ import json
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 
 from multilica import read_extrinsics
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
+from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose, write_recording
 
 SCHEMA = json.loads((ROOT / "docs" / "reference" / "result.schema.json").read_text(encoding="utf-8"))
 WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
@@ -45,6 +46,20 @@ def test_an_outlier_and_a_refused_snapshot_are_named(invoke: Invoke, snapshots: 
     assert document["input"]["source"] == "first.mcap, turned.mcap, alone.mcap, second.mcap"
     evaluated = json.loads(invoke("evaluate", "run", "run/turned", "--truth", find_sample().truth, "--json").out)
     assert [row["outcome"] for row in evaluated["lidars"]] == ["within", "false_accept"]
+
+
+@pytest.mark.in_turn
+@pytest.mark.slow
+def test_a_lidar_of_a_refused_snapshot_only_is_listed(invoke: Invoke, snapshots: Path, tmp_path: Path) -> None:
+    blind = {"right": np.full((10, 3), np.nan), "top": np.random.default_rng(0).uniform(-9.0, 9.0, (500, 3))}
+    sources = [snapshots / "first.mcap", snapshots / "second.mcap", write_recording(tmp_path / "third.mcap", blind)]
+    outcome = invoke("calibrate", *sources, "--out", "run", *FEWER)
+    assert outcome.code == ExitCode.NOT_PLACED, outcome.err
+    assert "1 of 3 LiDARs is not placed. top: " in outcome.out
+    document = json.loads(Path("run/result.json").read_text(encoding="utf-8"))
+    jsonschema.validate(document, SCHEMA)
+    assert document["lidars"]["top"]["reason"].startswith("third: left out: third.mcap has finite points of top only")
+    assert "By snapshot: third: left out: " in invoke("explain", "run").out
 
 
 def test_without_a_usable_snapshot_an_older_joint_result_stays(invoke: Invoke, snapshots: Path) -> None:

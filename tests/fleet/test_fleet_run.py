@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from multilica.checks import RigTolerances, Tolerance
+from multilica.errors import SourceNotFoundError
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import open_store
@@ -200,3 +201,13 @@ def test_tasks_get_the_whole_path_of_a_store(manifest, tmp_path, monkeypatch):
 
     run_fleet([manifest], open_store("store", create=True), FleetOptions(), run_log_task=run)
     assert {*given} == {str(tmp_path / "store")}
+
+
+def test_a_folder_without_logs_is_told(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "notes.txt").touch()
+    store = open_store(tmp_path / "store", create=True)
+    with pytest.raises(
+        SourceNotFoundError, match=rf"^No log was found in {tmp_path}/logs; expected recordings, folders"
+    ):
+        run(str(tmp_path / "logs"), store, Tasks())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,3 +82,24 @@ def test_one_stop_is_the_longest_standstill(drive: SimulatedDrive, tmp_path: Pat
     assert row.state == "calibrated"
     document = json.loads(store.read(next(path for path, _ in store.files("") if path.endswith("result.json"))))
     assert not document["snapshots"]
+
+
+@pytest.mark.in_turn
+@pytest.mark.parametrize(
+    ("stops", "told"),
+    [
+        ("3", "3 stops of different place or heading were asked for, and 1 found."),
+        ("auto", "The vehicle drives in this log, and fewer than two stops of a second were found: only frames of one"),
+    ],
+)
+def test_too_few_stops_are_told(drive: SimulatedDrive, tmp_path: Path, stops: str, told: str) -> None:
+    config = with_overrides(CONFIG, [f"drive.stops={stops}"])
+    log = log_of_stops(drive, 25)
+    spans = [slice(0, 1)] if stops == "3" else [slice(0, 35)]
+    cut = [replace(each, scans=each.scans[span]) for each in log.lidars for span in spans]
+    write_ros2_mcap(Snapshot(tuple(cut)), tmp_path / "drive.mcap")
+    row = run_log_task(request(tmp_path, "drive.mcap", config=config))
+    assert row.state == "calibrated"
+    store = open_store(str(tmp_path / "store"), create=False)
+    document = json.loads(store.read(next(path for path, _ in store.files("") if path.endswith("result.json"))))
+    assert [note for note in document["input"]["notes"] if note.startswith(told)]

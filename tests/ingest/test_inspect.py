@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,19 @@ def test_a_window_behind_the_end_is_an_objection(tmp_path: Path) -> None:
     summary = inspect_source(tmp_path / "a.mcap", config=IngestConfig(start_s=60.0))
     assert "no point cloud 60 s after its first one" in summary.objection
     assert [cloud.frames for cloud in summary.clouds] == [3, 3]
+
+
+@pytest.mark.parametrize("early", [1, 20, 60])
+def test_scans_before_the_clock_was_set_count_for_no_rate(tmp_path: Path, early: int) -> None:
+    front, rear = make_snapshot(frames=90).lidars
+    first_ns = [replace(scan, stamp_ns=scan.stamp_ns - START_NS + 10**9) for scan in front.scans[:early]]
+    lidars = replace(front, scans=(*first_ns, *front.scans[early:])), replace(rear, scans=rear.scans[early:])
+    write_mcap(Snapshot(lidars), tmp_path / "a.mcap")
+    for start_s in (0.0, 1.0):
+        summary = inspect_source(tmp_path / "a.mcap", config=IngestConfig(frames=5, start_s=start_s))
+        assert [cloud.frames for cloud in summary.clouds] == [90, 90 - early]
+        assert [cloud.rate_hz for cloud in summary.clouds] == pytest.approx([10.0, 10.0], rel=1e-3)
+        assert summary.duration_s == pytest.approx((89 - early) / 10.0, abs=1e-3)
 
 
 def test_point_files_have_no_times(tmp_path: Path) -> None:

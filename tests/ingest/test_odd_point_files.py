@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.ingest.plausibility import plausibility_notes
@@ -30,6 +31,25 @@ def test_float32_files_of_another_layout_are_refused(tmp_path: Path, columns: in
         read_snapshot(tmp_path / "a.bin")
     table[:, :4].tofile(tmp_path / "a.bin")
     np.testing.assert_array_equal(read_snapshot(tmp_path / "a.bin").lidars[0].points_m, WALLS_M)
+
+
+def test_links_to_nothing_are_told_and_refused_if_strict(tmp_path: Path) -> None:
+    folder = tmp_path / "scans"
+    (folder / "rear").mkdir(parents=True)
+    np.save(folder / "front.npy", WALLS_M)
+    np.save(folder / "rear" / "0001.npy", WALLS_M + 1.0)
+    (folder / "good.npy").symlink_to("front.npy")
+    (folder / "readme.txt").symlink_to("nowhere")
+    assert read_snapshot(folder, config=IngestConfig(strict=True)).names == ("front", "good", "rear")
+    (folder / "top.npy").symlink_to("nowhere.npy")
+    (folder / "left").symlink_to("nowhere")
+    (folder / "rear" / "0002.npy").symlink_to("nowhere.npy")
+    told = "scans/left, scans/top.npy, scans/rear/0002.npy are links to nothing, and left out."
+    assert told in read_snapshot(folder).notes
+    with pytest.raises(UnreadableSourceError, match=r"scans is refused, as ingest\.strict is set: .*scans/left, "):
+        read_snapshot(folder, config=IngestConfig(strict=True))
+    assert "is refused, as ingest.strict" in inspect_source(folder, config=IngestConfig(strict=True)).objection
+    assert inspect_source(folder).objection == ""
 
 
 @pytest.mark.parametrize("name", ["ring", "channel", "line", "laser_id"])

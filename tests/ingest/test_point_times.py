@@ -17,8 +17,8 @@ from tests.ingest.support.format_writers import LIVOX_POINT_NS, livox_messages, 
 from tests.ingest.support.recording_writers import make_snapshot
 
 _XYZ = tuple(PointField(name, 4 * at, 7) for at, name in enumerate("xyz"))
-_SECONDS = np.array([0.0, 0.025, 0.0999, 0.05])
-_NANOSECONDS = np.array([0, 25_000_000, 99_900_000, 50_000_000])
+_SECONDS = np.tile([0.0, 0.025, 0.0999, 0.05], 150)
+_NANOSECONDS = np.tile([0, 25_000_000, 99_900_000, 50_000_000], 150)
 
 
 def _decoded(name, datatype, code, times, *, timed=True):
@@ -38,6 +38,11 @@ def _decoded(name, datatype, code, times, *, timed=True):
         ("timestamp", 8, "<f8", 1.7e9 + _SECONDS),
         ("timestamp", 8, "<f8", 1.7e18 + _NANOSECONDS),
         ("time_stamp", 6, "<u4", 4_000_000_000 + _NANOSECONDS),
+        ("timestamp", 8, "<f8", (1.7e9 + _SECONDS) * 1e6),
+        ("offset_time", 6, "<u4", _NANOSECONDS // 1000),
+        ("time", 7, "<f4", _SECONDS * 1e3),
+        ("time", 7, "<f4", _SECONDS * 1e6),
+        ("timestamp", 6, "<u4", 1_700_000_000 + _NANOSECONDS // 1000),
     ],
 )
 def test_times_begin_with_the_earliest_point(name, datatype, code, times):
@@ -48,13 +53,37 @@ def test_times_begin_with_the_earliest_point(name, datatype, code, times):
 
 @pytest.mark.parametrize(
     "times",
-    [np.array([0.0, np.nan]), np.array([0.0, 2e9]), np.zeros(2), np.array([0.0, 1.2]), np.array([0.0, 1e5])],
-    ids=["NaN", "too long", "none", "1.2 s", "microseconds"],
+    [
+        np.array([0.0, np.nan]),
+        np.array([0.0, 2e9]),
+        np.zeros(2),
+        np.array([0.0, 1.2]),
+        np.array([0.0, 1e5]),
+        np.tile([0.0, 5e5], 300),
+        np.tile([0.0, 1_300.0], 300),
+        np.array([0.0, 1.0]) * 1e-9,
+    ],
+    ids=["NaN", "too long", "none", "1.2 s", "a packet", "half a second or millisecond", "no unit", "a nanosecond"],
 )
 def test_times_that_are_none_of_a_frame_are_left_out(times):
     found = _decoded("timestamp", 8, "<f8", times)
     assert found.times_ns is None
-    assert len(found.points_m) == 2
+    assert len(found.points_m) == len(times)
+
+
+@pytest.mark.parametrize("seconds", [1e3, 1e6, 1e9, 1.0])
+def test_lost_beams_have_no_time_since_the_epoch(seconds):
+    found = _decoded(
+        "timestamp", 8, "<f8", (1.7e9 + np.append(_SECONDS, 0.0)) * seconds * np.append(_SECONDS >= 0.0, 0.0)
+    ).times_ns
+    np.testing.assert_allclose(found, [*_NANOSECONDS, 0], atol=2_000)
+    whole = _decoded("t", 6, "<u4", [3_000_000_000, 0, 3_090_000_000, 0]).times_ns
+    np.testing.assert_array_equal(whole, [0, 0, 90_000_000, 0])
+
+
+def test_a_float_that_is_too_coarse_tells_no_time():
+    coarse = _decoded("time", 7, "<f4", 1.7e9 + np.array([0.0, 0.05, 0.1, 128.0]))
+    assert coarse.times_ns is None
 
 
 def test_points_without_times_have_none():

@@ -12,7 +12,7 @@ import pytest
 from multilica import drive_calibration
 from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot.join import SnapshotRun
+from multilica.multi_snapshot import SnapshotRun
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.orchestration.links import FoundLinks
 from multilica.registration.motions import motion_pairs

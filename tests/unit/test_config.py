@@ -194,6 +194,26 @@ def test_a_file_may_repeat_but_not_change_keys_without_effect(tmp_path):
         load_config(_written(tmp_path, f"{text}rotation_epsilon_rad = 1e-3\n"))
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("preprocess.min_range_m=200", "preprocess.max_range_m=300"),
+        ("preprocess.max_range_m=0.5", "preprocess.min_range_m=0.2"),
+    ],
+)
+def test_range_limits_leave_something_between(settings, tmp_path):
+    assert with_overrides(preset("default"), settings) == with_overrides(preset("default"), settings[::-1])
+    told = (
+        r"preprocess\.min_range_m is \S+ and preprocess\.max_range_m \S+: no return lies between; set the first to less"
+    )
+    with pytest.raises(ConfigError, match=f"^{told}"):
+        with_overrides(preset("default"), settings[:1])
+    limits = settings[0].removeprefix("preprocess.")
+    path = _written(tmp_path, f"[preprocess]\n{limits}\n")
+    with pytest.raises(ConfigError, match=rf"^In {path}, {told}"):
+        load_config(path)
+
+
 def test_every_key_that_only_some_use_exists():
     for key, (chooser, user) in _USED_WITH.items():
         assert {key, chooser} <= {*known_keys()}

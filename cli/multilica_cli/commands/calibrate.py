@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import degrees
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
+from multilica.errors import InputError
 from multilica_cli.exit_codes import exit_code
 from multilica_cli.options import (
     LIVE_SOURCE,
@@ -32,7 +35,15 @@ from multilica_cli.options import (
     sigma_limits,
     stops_value,
 )
-from multilica_cli.terminal import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells, stdout_console
+from multilica_cli.terminal import (
+    POSE_COLUMNS,
+    FoldingTable,
+    number_cells,
+    pose_cells,
+    print_json,
+    size_cells,
+    stdout_console,
+)
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
@@ -115,7 +126,8 @@ def calibrate(
     if rig is not None:
         from multilica import read_extrinsics
 
-        known = read_extrinsics(rig)
+        with _refusal_told(as_json=as_json):
+            known = read_extrinsics(rig)
         base = base or known.target
     given = {
         "target": target,
@@ -131,7 +143,7 @@ def calibrate(
         "record.detail": record,
     }
     resolve = partial(parameters.resolve, given)
-    with open_calibration_workers(resolve()) as pool:
+    with _refusal_told(as_json=as_json), open_calibration_workers(resolve()) as pool:
         # Imported while the workers start.
         from multilica.ingest import frames_recorded
         from multilica.optional_libraries import leave_out_pandas
@@ -152,6 +164,17 @@ def calibrate(
     else:
         print_run(run, quiet=quiet)
     return exit_code(run)
+
+
+@contextmanager
+def _refusal_told(*, as_json: bool) -> Iterator[None]:
+    """Print a refusal as the part of the result document that says so, if the document was asked for."""
+    try:
+        yield
+    except InputError as refusal:
+        if as_json:
+            print_json({"status": "failed", "refusal": {"code": refusal.code, "text": str(refusal)}})
+        raise
 
 
 def _prior(source: str | None) -> str | Extrinsics | None:

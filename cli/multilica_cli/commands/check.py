@@ -49,12 +49,14 @@ class Gate:
     ] = None
 
     def limits(self, reference: Path) -> RigTolerances:
-        """Return the tolerances; refuse a reference that is not there before anything takes time."""
+        """Return the tolerances; refuse a reference or a report that cannot be used before anything takes time."""
         from multilica.checks import read_tolerances, require_reference
+        from multilica.checks.ci_reports import require_reports
 
         default = tolerances_of(self.max_translation_m, self.max_rotation_deg)
         found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
         require_reference(reference)
+        require_reports(self.junit, self.summary, self.code_quality)
         return found
 
 

@@ -54,7 +54,7 @@ def watch(
     At ros2://, each look is also a diagnostic_msgs/DiagnosticArray on /diagnostics. Exits with 130 after Ctrl-C, 143
     after SIGTERM, and before it starts with 1, 2 or 3 as other commands.
     """
-    from multilica.checks import read_tolerances, require_reference
+    from multilica.checks import read_tolerances, require_known_lidars, require_reference
     from multilica.ingest import listen, live_address
     from multilica.ingest.remote.address import ROS2, scheme_of
     from multilica.ros2 import Ros2Node
@@ -68,6 +68,7 @@ def watch(
         limits = read_tolerances(tolerances, limits.default)
     require_reference(calibration)
     config = recording.resolve(timeout_s=timeout_s)
+    require_known_lidars(calibration, limits, config.ingest.topics)
     with ExitStack() as opened:
         node = None
         if scheme_of(address) == ROS2:

@@ -255,6 +255,11 @@ def _code_of(error: BaseException | None) -> str:
     return ""
 
 
+def local_path(address: str) -> str:
+    """Return the absolute path of a store on this machine; ``~`` stands for the home folder."""
+    return str(Path(os.path.expanduser(address)).absolute())  # noqa: PTH111 - a Path refuses an unknown user
+
+
 def open_store(address: str | Path, *, create: bool) -> Store:
     """Open a store, or lay out a new one.
 
@@ -270,7 +275,7 @@ def open_store(address: str | Path, *, create: bool) -> Store:
     """
     address = str(address)
     if not (scheme := scheme_of(address)):
-        store = Store(address, None, os.fspath(Path(address).expanduser().absolute()))
+        store = Store(address, None, local_path(address))
     elif scheme in _BUCKETS:
         with needed_for(f"The store {without_secrets(address)}", _BUCKETS[scheme]):
             system, path = open_file_system(address)

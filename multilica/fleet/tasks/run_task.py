@@ -36,6 +36,7 @@ from multilica.fleet.store.store import Store, open_store
 from multilica.fleet.tasks.guard import LogTask, LogTaskFailure, failed_row
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import Stop, read_log, read_snapshot, require_calibratable, stops_of_log
+from multilica.ingest.drive_reader import too_few_stops
 from multilica.ingest.locate import locate
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.metadata import LogIdentity, identify_log
@@ -146,7 +147,8 @@ def _read(request: LogTask) -> tuple[LogTask, tuple[Stop, ...], tuple[Snapshot, 
     if len(stops) > 1:
         found = config.model_copy(update={"ingest": of_stops})
         return replace(request, config=found), stops, read_log(stops, wanted, config=of_stops)
-    return request, (), (read_snapshot(request.address, config=config.ingest),)
+    snapshot, told = read_snapshot(request.address, config=config.ingest), too_few_stops(stops, wanted)
+    return request, (), (replace(snapshot, notes=(*snapshot.notes, told)) if told else snapshot,)
 
 
 def _calibrated(

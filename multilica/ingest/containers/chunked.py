@@ -16,7 +16,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from io import BufferedReader, RawIOBase
 from itertools import count
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from struct import Struct
 from typing import Any, cast
 
@@ -46,6 +46,8 @@ _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time wait for each other up to this size; above it, messages are no longer sorted."""
 _WAITING_MESSAGE_BYTES, _KEPT_MESSAGE_BYTES = 512, 256
 """Memory of a message besides its data."""
+_MAX_BACK_NS = 2 * 10**9
+"""Recorders write messages of several threads a little out of order."""
 _ZEROS = bytes(4 << 20)
 _MAX_SKIPPED = 1000
 """Regions of zeros; a power loss leaves a few."""
@@ -268,6 +270,7 @@ class Survey:
         counts: messages by topic; the topics' own counts are zero.
         spans: log times by name of the topic.
         marks: positions in the file, each with the latest log time before it.
+        goes_back, is_sorted: some of it is much older than what lies before it; each topic alone is in order.
     """
 
     counts: Counter[Topic] = field(default_factory=Counter)
@@ -276,11 +279,18 @@ class Survey:
     damage: str = ""
     latest_ns: int = 0
     marks: list[tuple[int, int]] = field(default_factory=list)
+    goes_back: bool = False
+    is_sorted: bool = True
+
+    def begin_part(self, first_ns: int) -> None:
+        """Note the earliest log time of what is added next."""
+        self.goes_back |= first_ns < self.latest_ns - _MAX_BACK_NS
 
     def add(self, topic: Topic, count: int, span: Span, unpacked_bytes: int = 0) -> None:
         """Add `count` messages of a topic."""
         self.counts[topic] += count
         first, last = self.spans.get(topic.name, span)
+        self.is_sorted &= topic.name not in self.spans or span[0] >= last - _MAX_BACK_NS
         self.spans[topic.name] = min(first, span[0]), max(last, span[1])
         self.unpacked_bytes += unpacked_bytes
         self.latest_ns = max(self.latest_ns, span[1])
@@ -288,6 +298,7 @@ class Survey:
     def add_message(self, message: RawMessage, unpacked_bytes: int = 0) -> None:
         """Add one message."""
         topic = Topic(message.topic, message.message_type, message.encoding, lidar=message.lidar)
+        self.begin_part(message.log_time_ns)
         self.add(topic, 1, (message.log_time_ns, message.log_time_ns), unpacked_bytes)
 
     def mark(self, place: int) -> None:
@@ -337,13 +348,28 @@ class UnindexedRecording(Recording):
         return joint_span(span for name, span in self._survey.spans.items() if name in topics)
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Yield messages in the order of writing."""
-        with damage_named(self._where):
-            parts = self._scan(self._survey.begin(start_ns)) if self._kept is None else [(0, iter(self._kept))]
-            for _, messages in parts:
-                yield from (each for each in messages if each.topic in topics and each.log_time_ns >= start_ns)
+        """Yield messages in the order of writing; by log time if the topics were written one after the other."""
+        errors: list[DamagedRecordingError] = []
+        # A clock that was set back goes back within each topic, too.
+        is_by_topic = self._survey.goes_back and self._survey.is_sorted
+        parts = [{topic} for topic in sorted(topics)] if is_by_topic else [{*topics}]
+        yield from heapq.merge(
+            *(self._written(each, start_ns, errors) for each in parts), key=attrgetter("log_time_ns")
+        )
+        if errors:
+            raise errors[0]
+
+    def _written(self, topics: Collection[str], start_ns: int, errors: list[DamagedRecordingError]) -> Messages:
+        """Yield messages in the order of writing; add what ends them too early to the errors."""
+        try:
+            with damage_named(self._where):
+                parts = self._scan(self._survey.begin(start_ns)) if self._kept is None else [(0, iter(self._kept))]
+                for _, messages in parts:
+                    yield from (each for each in messages if each.topic in topics and each.log_time_ns >= start_ns)
+        except DamagedRecordingError as error:
+            errors.append(error)
         if self._error is not None:
-            raise self._error
+            errors.append(self._error)
 
     def _read(self) -> Survey:
         found, kept, kept_bytes = Survey(), list[RawMessage](), 0

@@ -233,6 +233,7 @@ def _add_next(stream: ExactReader, found: Survey, known: _KnownChannels) -> bool
         raise EndOfFileError
     if opcode == Opcode.MESSAGE:
         channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack(stream.read(_MESSAGE_HEAD.size))
+        found.begin_part(log_time_ns)
         found.add(known.topics[channel], 1, (log_time_ns, log_time_ns), length)
     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         known.learn(opcode, memoryview(stream.read(length)))
@@ -253,6 +254,7 @@ def _next_head(stream: ExactReader) -> tuple[int, int]:
 def _add_chunk(stream: ExactReader, end: int, found: Survey, known: _KnownChannels) -> None:
     start, read_end = stream.tell(), min(end, stream.tell() + stream.remaining)
     first_ns, last_ns, unpacked_bytes, _, _ = unpack_head(_CHUNK_HEAD, stream.read(min(64, read_end - start)))
+    found.begin_part(first_ns)
     found.latest_ns = max(found.latest_ns, last_ns)
     stream.seek(read_end)
     indexed = _message_indexes(stream, (first_ns, last_ns))

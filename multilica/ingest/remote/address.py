@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Addresses as sources."""
 
+import os
 import re
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
@@ -33,7 +34,7 @@ def local_output(path: str | Path, option: str) -> Path:
     address = _DROPPED_SLASH.sub(r"\1://", str(path))
     if scheme_of(address):
         raise UsageError(f"An output is a file on this machine; found {option} {without_secrets(address)}.")
-    return Path(path).expanduser()
+    return Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
 
 
 def is_live(source: object) -> bool:

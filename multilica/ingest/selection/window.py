@@ -13,10 +13,11 @@ from statistics import median
 import numpy as np
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError, UnreadableSourceError
+from multilica.errors import UnfitSnapshotError, UnreadableSourceError, listed
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
-from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
+from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Span
+from multilica.ingest.selection.absent import why_absent
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.ingest.selection.topics import named_topics
@@ -25,6 +26,9 @@ from multilica.snapshot import Scan
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
 _MAX_BROKEN = 1000
+_MAX_RATE_HZ = 50.0
+"""LiDARs turn up to 25 times a second."""
+_LEAST_SCANS = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +74,17 @@ def collect_frames(
     streams = [TopicFrames(name, frames if recording.damage else min(frames, counts[name])) for name in sorted(topics)]
     damage = _fill({stream.topic: stream for stream in streams}, recording, times, frames)
     faults = [fault for stream in streams for fault in stream.faults()]
-    shortages = [note for stream in streams for note in _shortages(stream, streams, damage)]
+    shortages = _all_shortages(streams, recording, times, damage)
     if damage and all(stream.is_full for stream in streams):
         shortages.append(f"{label} is damaged: {damage}; all wanted scans lie before that.")
     told = [
         (each.topic, remark) for each in streams for remark in sorted({cloud.remark for cloud in each.clouds} - {""})
     ]
     remarks = [*times.notes, *(f"'{topic}' {remark}." for topic, remark in told), *_clock_notes(streams)]
+    is_spread = times.end_ns is not None and not times.is_dense  # scans between those that were taken are unknown
+    span = recording.span_ns(topics) if is_spread else None
+    rates_hz = {each.topic: _mean_rate_hz(counts[each.topic], span) if span else _rate_hz(each) for each in streams}
+    remarks += _rate_notes(rates_hz)
     clouds = {
         stream.topic: tuple(sorted(stream.clouds, key=lambda cloud: cloud.scan.stamp_ns))
         for stream in streams
@@ -140,6 +148,18 @@ def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeR
             raise
         return error.reason
     return recording.damage
+
+
+def _all_shortages(streams: list[TopicFrames], recording: Recording, times: TimeRange, damage: str) -> list[str]:
+    present = {stream.topic: stream.clouds for stream in streams if stream.clouds}
+    begins_ns = [cloud.scan.log_time_ns for clouds in present.values() for cloud in clouds]
+    start_ns = times.start_ns or min(begins_ns, default=0)
+    notes: list[str] = []
+    for stream in streams:
+        is_missing = present and not (damage or stream.clouds or stream.broken or stream.lost)
+        why = why_absent(recording, stream.topic, present, start_ns) if is_missing else ""
+        notes += [f"'{stream.topic}' is left out: {why}."] if why else _shortages(stream, streams, damage)
+    return notes
 
 
 def _shortages(stream: TopicFrames, streams: list[TopicFrames], damage: str) -> list[str]:
@@ -257,6 +277,34 @@ def _clock_notes(streams: list[TopicFrames]) -> list[str]:
         return []
     listed = ", ".join(f"'{topic}' by {offset_s:.3f} s" for topic, offset_s in sorted(offsets_s.items()))
     return [f"The stamps lag behind the log time: {listed}; the frames were chosen by log time."]
+
+
+def _mean_rate_hz(count: int, span: Span) -> float:
+    return 1e9 * (count - 1) / (span[1] - span[0]) if count >= _LEAST_SCANS and span[1] > span[0] else 0.0
+
+
+def _rate_hz(stream: TopicFrames) -> float:
+    """Return how often scans follow each other that were taken one after the other; 0.0 if nothing tells."""
+    if len(stream.clouds) < _LEAST_SCANS:
+        return 0.0
+    # Stamps that were never set, or log times of a recorder that writes in bursts, tell nothing.
+    stamps = [cloud.scan.stamp_ns for cloud in stream.clouds]
+    logged = [cloud.scan.log_time_ns for cloud in stream.clouds]
+    period_ns = max(float(np.median(np.diff(sorted(times_ns)))) for times_ns in (stamps, logged))
+    return 1e9 / period_ns if period_ns > 0.0 else 0.0
+
+
+def _rate_notes(rates_hz: Mapping[str, float]) -> list[str]:
+    """Return a note on topics whose scans follow each other faster than LiDARs turn, as single packets do."""
+    fast = {f"'{topic}'": round(rate_hz) for topic, rate_hz in sorted(rates_hz.items()) if rate_hz > _MAX_RATE_HZ}
+    if not fast:
+        return []
+    have, most = "has" if len(fast) == 1 else "have up to", max(fast.values())
+    told = (
+        f"{listed([*fast])} {have} {most} scans per second: they may be single packets, with a part of the view each; "
+        f"let the driver send whole turns, or take all of a second with --frames {most}."
+    )
+    return [told]
 
 
 def until_full(recording: Recording, streams: Mapping[str, TopicFrames], start_ns: int) -> Iterator[RawMessage]:

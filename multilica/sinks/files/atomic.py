@@ -67,6 +67,15 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+def require_writable(path: Path) -> None:
+    """Make the folder of a file that is written later, and raise the OSError that `atomic_file` would raise then."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.name or path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+
 def write_text_atomically(path: Path, text: str) -> None:
     """Write UTF-8 text atomically."""
     with atomic_file(path) as file:

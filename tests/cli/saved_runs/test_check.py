@@ -10,7 +10,7 @@ import tomli_w
 
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import Invoke, assert_one_sentence
+from tests.cli.support import Invoke, Outcome, assert_one_sentence
 from tests.sinks.made_documents import made_document
 
 
@@ -226,3 +226,32 @@ def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars:
         assert reasons
         assert all("the time limit (--max-time)" in each for each in reasons)
     assert_one_sentence(invoke(*command, "--max-time", "-1"), ExitCode.USAGE)
+
+
+@pytest.mark.parametrize("option", ["--junit", "--summary", "--code-quality"])
+@pytest.mark.parametrize("command", ["check", "verify"])
+def test_a_report_that_cannot_be_written_ends_it_first(
+    invoke: Invoke, result: Path, tmp_path: Path, command: str, option: str
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    reference = "--against" if command == "check" else "--calibration"
+    for path, told in (("file/report", "file"), ("folder", "folder")):
+        outcome = invoke(command, "nowhere.mcap", reference, result, option, path)
+        assert_one_sentence(outcome, ExitCode.BROKEN)
+        assert f"({told})" in outcome.err
+
+
+def test_a_watch_refuses_a_tolerance_of_no_lidar(invoke: Invoke, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("multilica.watch.watch_vehicle", lambda *_: None)
+    name = next(iter(json.loads(result.read_text())["lidars"]))
+
+    def watched(lidar: str, *options: str) -> Outcome:
+        Path("limits.toml").write_text(f'[lidars."{lidar}"]\ntranslation_m = 0.1\n', encoding="utf-8")
+        return invoke("watch", "ws://localhost:1", "--calibration", result, "--tolerances", "limits.toml", *options)
+
+    outcome = watched("nose")
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert "There is a tolerance for 'nose', which " in outcome.err
+    assert name in outcome.err
+    assert watched(name).code == watched("nose", "--topic", "nose=/nose/points").code == ExitCode.DONE

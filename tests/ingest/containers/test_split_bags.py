@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError, UsageError
-from multilica.ingest import read_snapshot
+from multilica.ingest import inspect_source, read_snapshot
 from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.recording_writers import assert_same_points, make_snapshot, write_mcap, write_ros2_bag
 
@@ -87,15 +88,52 @@ def test_what_lies_behind_a_damaged_part_is_used(tmp_path: Path) -> None:
     assert snapshot.notes[0].startswith("'/lidar_0/points' has lost scans in 1 place: ")
 
 
-@pytest.mark.parametrize(
-    ("first", "error"), [(0, "2 recordings of the same time"), (1, "give one of them by its name")]
-)
-def test_a_folder_of_recorders_is_no_split_bag(tmp_path: Path, first: int, error: str) -> None:
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_a_rolling_log_without_its_first_parts_is_read(tmp_path: Path, storage: StoragePlugin) -> None:
+    whole = split_bag(tmp_path / "bag", storage)
+    first, middle, _ = sorted((tmp_path / "bag").iterdir())
+    first.unlink()
+    snapshot = read_snapshot(tmp_path / "bag")
+    later = Snapshot(tuple(replace(lidar, scans=lidar.scans[2:]) for lidar in whole.lidars))
+    assert_same_points(snapshot, later)
+    assert snapshot.notes == (f"The bag begins with {middle.name}: its first parts are not in the folder.",)
+    assert inspect_source(tmp_path / "bag").notes == snapshot.notes
+    assert read_snapshot(tmp_path / "bag", config=IngestConfig(strict=True)).names == whole.names
+
+
+def test_a_rolling_log_may_lack_parts_between(tmp_path: Path) -> None:
+    split_bag(tmp_path / "bag", StoragePlugin.MCAP)
+    first, middle, _ = sorted((tmp_path / "bag").iterdir())
+    first.rename(first.with_name("drive_10.mcap.zstd"))
+    middle.unlink()
+    (tmp_path / "bag" / "drive_2.mcap.zstd").rename(tmp_path / "bag" / "drive_12.mcap.zstd")
+    snapshot = read_snapshot(tmp_path / "bag")
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [4, 4]
+    told = "The bag begins with drive_10.mcap.zstd: its first parts are not in the folder, nor 1 between the others."
+    assert snapshot.notes == (told,)
+
+
+def test_numbered_drives_in_a_folder_are_no_rolling_log(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    for number, start_s in ((1, 0), (2, 60)):
+        lidars = make_snapshot(seed=number).lidars
+        for_a_drive = [
+            replace(each, scans=tuple(replace(scan, stamp_ns=scan.stamp_ns + start_s * 10**9) for scan in each.scans))
+            for each in lidars
+        ]
+        write_mcap(Snapshot(tuple(for_a_drive)), tmp_path / "logs" / f"drive_{number}.mcap")
+    told = r"logs holds 2 recordings \(drive_1\.mcap, drive_2\.mcap\) with 59\.8 s between two of them"
+    with pytest.raises(UsageError, match=told):
+        read_snapshot(tmp_path / "logs")
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_folder_of_recorders_is_no_split_bag(tmp_path: Path, first: int) -> None:
     (tmp_path / "log").mkdir()
     paths = [tmp_path / "log" / f"lidar_{number}.mcap" for number in (first, first + 1)]
     for path, lidar in zip(paths, make_snapshot().lidars, strict=True):
         write_mcap(Snapshot((lidar,)), path)
-    with pytest.raises(UsageError, match=error):
+    with pytest.raises(UsageError, match="2 recordings of the same time"):
         read_snapshot(tmp_path / "log")
     assert len(read_snapshot(paths).lidars) == 2
     (tmp_path / "log" / "metadata.yaml").write_text(metadata([path.name for path in paths]), encoding="utf-8")

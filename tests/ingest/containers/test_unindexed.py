@@ -6,16 +6,28 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
 from mcap.writer import CompressionType
 
+from multilica.config import IngestConfig
+from multilica.ingest import read_snapshot
 from multilica.ingest.containers import chunked, mcap_file, ros1_bag
 from multilica.ingest.containers.chunked import PackedChunk, Part, UnindexedRecording
 from multilica.ingest.containers.mcap_file import open_unindexed
 from multilica.ingest.recording import DamagedRecordingError, RawMessage
-from tests.ingest.support.recording_writers import PERIOD_NS, START_NS, make_snapshot, write_mcap, write_ros1_bag
+from multilica.snapshot import Snapshot
+from tests.ingest.support.recording_writers import (
+    PERIOD_NS,
+    START_NS,
+    make_snapshot,
+    raw_messages,
+    ros2_types,
+    write_mcap,
+    write_ros1_bag,
+)
 
 CHUNK_BYTES = 10_000
 
@@ -78,6 +90,34 @@ def test_a_recording_too_large_to_keep_is_read_the_same(
     assert (part.topics, part.damage) == (whole.topics, whole.damage)
     assert all_of(part.messages(names)) == expected
     assert all_of(part.messages(names)) == expected
+
+
+@pytest.mark.parametrize("kept_bytes", [0, 1 << 40])
+@pytest.mark.parametrize("cut", [1.0, 0.9])
+@pytest.mark.parametrize("window_s", [0.0, 2.0])
+def test_topics_that_were_written_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_bytes: int, cut: float, window_s: float
+) -> None:
+    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", kept_bytes)
+    path = tmp_path / "a.mcap"
+    messages = [*raw_messages(make_snapshot(lidars=3, frames=150), ros2_types(), "cdr")]
+    write_mcap(Snapshot(()), path, chunked=False, messages=sorted(messages, key=itemgetter(0)))
+    os.truncate(path, int(cut * path.stat().st_size))
+    snapshot = read_snapshot(path, config=IngestConfig(window_s=window_s))
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [10, 10, 10]
+    names = {lidar.topic for lidar in snapshot.lidars}
+    times = [log_time_ns for _, log_time_ns, _ in all_of(open_unindexed(path, "a").messages(names))]
+    assert times == sorted(times)
+    assert (len(times) == 450) == (cut == 1.0)
+
+
+def test_a_clock_that_was_set_back_keeps_the_order_of_writing(tmp_path: Path) -> None:
+    messages = [*raw_messages(make_snapshot(frames=60), ros2_types(), "cdr")]
+    moved = [(topic, kind, time - 10**10, data) for topic, kind, time, data in messages[60:]]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", chunked=False, messages=[*messages[:60], *moved])
+    recording = open_unindexed(tmp_path / "a.mcap", "a")
+    found = [time for _, time, _ in all_of(recording.messages({topic.name for topic in recording.topics}))]
+    assert found == [time for _, _, time, _ in [*messages[:60], *moved]]
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

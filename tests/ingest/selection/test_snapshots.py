@@ -165,6 +165,19 @@ def test_folders_of_frames_are_a_lidar_each(tmp_path: Path, first: tuple[str, ..
     assert [len(lidar.scans) for lidar in snapshot.lidars] == [len(first), len(second)]
     assert set(inspect_source(paths).taken_for.values()) == {"frames of one LiDAR"}
 
+    assert read_snapshot(tmp_path).names == ("left", "right")
+
+
+def test_a_folder_of_stops_is_no_folder_of_lidars(tmp_path: Path) -> None:
+    drive = tmp_path / "drive"
+    paths = [folder(drive / stop, "front.npy", "rear_2.npy", "0001.npy") for stop in ("stop1", "stop2")]
+    folder(drive / "stop3", "front.npy", "rear_2.npy", "top.npy")
+    told = rf"drive holds 3 folders .* \(front, rear_2\), as stops .*, as {drive}/\*/\. If each is a LiDAR, name its"
+    for read in (read_snapshot, inspect_source):
+        with pytest.raises(UsageError, match=told):
+            read(drive)
+    assert len(find_snapshots([*paths, drive / "stop3"])) == 3
+
 
 def test_sources_are_taken_for_what_they_hold(tmp_path: Path) -> None:
     alone = folder(tmp_path / "stop", "front.npy", "rear.npy")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -171,7 +172,8 @@ def test_a_silent_topic_is_left_out(tmp_path: Path) -> None:
     config = IngestConfig(start_s=0.3)
     snapshot = read_snapshot(tmp_path / "a.mcap", config=config)
     assert snapshot.names == ("lidar_0",)
-    assert snapshot.notes == ("'/late' has 0 scans in the window, others have more.",)
+    ended = "'/late' is left out: its scans end 0.3 s before the window begins; --start 0 has all."
+    assert snapshot.notes == (ended,)
     for topic in ("/late", "/lat*"):
         with pytest.raises(UnfitSnapshotError, match=r"no scan of '/late' after 0\.3 s"):
             read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"topics": {"late": topic}}))
@@ -257,3 +259,34 @@ def test_a_database_of_something_else(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(UnreadableSourceError, match=r"is an SQLite file but not a ROS 2 bag: .* found songs"):
         read_snapshot(tmp_path / "a.db3")
+
+
+@pytest.mark.parametrize("window_s", [0.0, 0.3])
+@pytest.mark.parametrize(("rate", "is_told"), [(600, True), (60, True), (40, False), (10, False)])
+def test_scans_of_single_packets_are_told(tmp_path: Path, window_s: float, rate: int, is_told: bool) -> None:
+    period_ns = 10**9 // rate
+    lidars = []
+    for lidar in make_snapshot(frames=max(20, rate // 2), points=5).lidars:
+        scans = [replace(scan, stamp_ns=START_NS + index * period_ns) for index, scan in enumerate(lidar.scans)]
+        lidars.append(replace(lidar, scans=tuple(scans)))
+    write_mcap(Snapshot(tuple(lidars)), tmp_path / "a.mcap", chunk_size=1 << 20)
+    notes = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window_s=window_s)).notes
+    told = (
+        f"'/lidar_0/points', '/lidar_1/points' have up to {rate} scans per second: they may be single packets, with a "
+        f"part of the view each; let the driver send whole turns, or take all of a second with --frames {rate}."
+    )
+    assert (told in notes) == is_told
+    assert is_told or not [note for note in notes if "per second" in note]
+
+
+@pytest.mark.parametrize("stamp_ns", [0, START_NS])
+def test_stamps_that_were_never_set_tell_no_rate(tmp_path: Path, stamp_ns: int) -> None:
+    (lidar,) = make_snapshot(lidars=1, frames=10).lidars
+    store = ros2_types()
+    messages = [
+        (lidar.topic, CLOUD, scan.stamp_ns, bytes(store.serialize_cdr(cloud_message(store, moved, "a"), CLOUD)))
+        for scan in lidar.scans
+        for moved in [replace(scan, stamp_ns=stamp_ns)]
+    ]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages)
+    assert not [note for note in read_snapshot(tmp_path / "a.mcap").notes if "per second" in note]

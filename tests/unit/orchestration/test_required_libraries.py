@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from multilica.config import CalibrationConfig, preset, with_overrides
-from multilica.errors import MissingDependencyError
+from multilica.config import CalibrationConfig, PreprocessConfig, preset, with_overrides
+from multilica.errors import ConfigError, MissingDependencyError
 from multilica.orchestration import clouds
 from multilica.orchestration.clouds import require_libraries
 from multilica.pipeline import calibrate
+from multilica.run import run_calibration
 from tests.pipeline.watched import sides
 
 
@@ -66,3 +67,10 @@ def test_it_is_told_before_the_first_event(without):
     with pytest.raises(MissingDependencyError):
         calibrate(sides().snapshot, _config("coarse.solver=kiss_matcher"), seen.append)
     assert seen == []
+
+
+def test_range_limits_given_in_python_are_checked_first(tmp_path):
+    config = CalibrationConfig(preprocess=PreprocessConfig(min_range_m=100.0, max_range_m=100.0))
+    for run in (lambda: calibrate(sides(), config), lambda: run_calibration(tmp_path, tmp_path / "out", config)):
+        with pytest.raises(ConfigError, match="no return lies between"):
+            run()
