@@ -167,6 +167,7 @@ def refine_linked(
             [pair.registration for pair in within],
             config,
             replace(linked, links=[_as_certain_as_told(link, followed) for link in linked.links]),
+            [pair.target_stop for pair in within],
         )
         doubtful = [residual for residual in rig.links if residual.contradicts]
         if not doubtful:

@@ -6,12 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.geometry import FloatArray, RigidTransform, rotation_vector, skew
 from multilica.registration.poses import moved
 from multilica.results import DriveView, IndexArray, ViewPair
 
 UNKNOWN = np.repeat([3.0, 30.0], 3)
 """(6,) standard deviations of a pose that nothing determines: rotation (rad), translation (m)."""
+
+# LiDARs see other surfaces, or the same ones otherwise, once the vehicle has turned by so much, rad, or if two links
+# lead so much farther apart, m: what decides a pose is 10 to 20 m away.
+_TURNED_RAD, _APART_M = float(np.deg2rad(30.0)), 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +73,29 @@ class ViewPoses:
         columns = np.concatenate([column + np.arange(6) for column in found])
         return np.hstack(list(found.values())), columns
 
+    def likeness(self, one: ViewPair, other: ViewPair) -> float:
+        """Return how much of their systematic errors two pairs of the same LiDARs have in common, from 0 to 1.
+
+        A vehicle that drives straight on sees the same road, rails and walls from the same side at each stop. Stops
+        that are not linked do not tell of it.
+        """
+        ends = (other.target, other.source), (other.source, other.target)
+        views = one.target, one.source
+        alike = [self._likeness(views, each) for each in ends if _lidars_of(views) == _lidars_of(each)]
+        return max(alike, default=0.0)
+
+    def _likeness(self, views: tuple[DriveView, DriveView], others: tuple[DriveView, DriveView]) -> float:
+        if not {view.stop for view in (*views, *others)} <= self.stops.keys():
+            return 0.0
+        turns = [
+            rotation_vector(self.stops[one.stop].rotation.T @ self.stops[other.stop].rotation)
+            for one, other in zip(views, others, strict=True)
+        ]
+        ways = [self.stops[target.stop].inverse() @ self.stops[source.stop] for target, source in (views, others)]
+        turned = np.linalg.norm(turns) / _TURNED_RAD
+        apart = np.linalg.norm(ways[0].xyz_m - ways[1].xyz_m) / _APART_M
+        return float(np.exp(-0.5 * (turned**2 + apart**2)))
+
     def _by_unknowns(self, view: DriveView, by_view: FloatArray, *, within: bool) -> list[tuple[int, FloatArray]]:
         """Turn derivatives (6, 6) by motions of a view into those by its LiDAR and its stop, each with its column."""
         found, zero = [], np.zeros((3, 3))
@@ -81,3 +108,7 @@ class ViewPoses:
             turned = by_view @ np.block([[np.eye(3), zero], [-skew(arm_m), np.eye(3)]])
             found.append((6 * (len(self.free) + self.free_stops.index(view.stop)), turned))
         return found
+
+
+def _lidars_of(views: tuple[DriveView, DriveView]) -> list[str]:
+    return [view.lidar for view in views]

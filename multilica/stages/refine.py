@@ -69,6 +69,7 @@ def refine(
     pairs: Sequence[PairRegistration],
     config: RefineConfig,
     linked: LinkedStops | None = None,
+    at_stops: Sequence[str] = (),
 ) -> RefinedRig:
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
@@ -85,19 +86,23 @@ def refine(
         poses: initial ``T_root_lidar`` of every placed LiDAR.
         pairs: registrations, of one or more snapshots; those without `information`, with a LiDAR that is not placed, or
             apart from the root are left out.
+        at_stops: the stop of each pair; empty: they are of snapshots that no link connects.
         linked: links between stops with initial poses; links are left out like pairs. They and the pairs determine the
             poses of all LiDARs.
     """
     linked = linked or LinkedStops()
-    known = [pair for pair in pairs if pair.information is not None and pair.lidars <= set(poses)]
+    within = [ViewPair(pair, stop, stop) for pair, stop in zip(pairs, at_stops or [""] * len(pairs), strict=True)]
+    known = [
+        each for each in within if each.registration.information is not None and each.registration.lidars <= set(poses)
+    ]
     links = [
         link
         for link in linked.links
         if link.registration.information is not None and link.registration.lidars <= set(poses)
     ]
-    joined = set(poses) if links else set(poses) & connected(root, known)
-    used_pairs = [pair for pair in known if pair.lidars <= joined]
-    used = [*(ViewPair(pair, "", "") for pair in used_pairs), *links]
+    joined = set(poses) if links else set(poses) & connected(root, [each.registration for each in known])
+    used_within = [each for each in known if each.registration.lidars <= joined]
+    used = [*used_within, *links]
     free = sorted(joined - {root})
     stops = {name: linked.poses[name] for link in links for name in sorted(link.stops)}
     free_stops = sorted(stops.keys() - linked.first)
@@ -109,7 +114,9 @@ def refine(
     state = _State(ViewPoses(dict(poses), stops, free, free_stops), np.zeros(len(sigmas)), rings)
     before = [state.views.offset(pair) for pair in used]
     # Linked stops show one place.
-    scenes = [max(1, _snapshots_of(name, used_pairs) - len(free_stops)) for name in free] + [1] * len(free_stops)
+    scenes = [
+        max(1, _snapshots_of(name, [each.registration for each in used_within]) - len(free_stops)) for name in free
+    ] + [1] * len(free_stops)
     prior = None
     for _ in range(_ITERATIONS):
         information, gradient = _normal_equations(used, state, config)
@@ -132,10 +139,10 @@ def refine(
         state.views.poses,
         {name: told.covariance[block, block] for name, block in blocks.items()},
         {name: told.repeatability[block, block] for name, block in blocks.items()},
-        Refinement.of(residuals[: len(used_pairs)], _sensor_biases(state, told.bias_sigmas)),
+        Refinement.of(residuals[: len(used_within)], _sensor_biases(state, told.bias_sigmas)),
         state.views.stops,
         {name: told.covariance[block, block] for name, block in of_stops.items()},
-        residuals[len(used_pairs) :],
+        residuals[len(used_within) :],
     )
 
 
@@ -333,17 +340,31 @@ def _normal_equations(pairs: Sequence[ViewPair], state: _State, config: RefineCo
 
 
 def _spreads(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (N, N) of the gradient, and the part of it that random errors cause."""
+    """Return the covariance (N, N) of the gradient, and the part of it that random errors cause.
+
+    Systematic errors that pairs of the same LiDARs have in common add up.
+    """
     size = state.views.columns + len(state.biases)
     spread, random = np.zeros((size, size)), np.zeros((size, size))
     for pair, share in _shares(pairs, state, config):
         found, squared = pair.registration.bias_information, share.weight**2
         own = np.asarray(pair.registration.information)
-        share.add(own if found is None else found.spread_among(share.snapshots), spread, squared)
-        share.add(own if found is None else found.random_spread, random, squared)
+        of_random = own if found is None else found.random_spread
+        of_all = own if found is None else found.spread_among(share.snapshots)
+        share.add(of_all + _repeated(pair, pairs, state.views) * (of_all - of_random), spread, squared)
+        share.add(of_random, random, squared)
     _hold_open(spread, pairs, state)
     _hold_open(random, pairs, state)
     return spread, random
+
+
+def _repeated(pair: ViewPair, pairs: Sequence[ViewPair], views: ViewPoses) -> float:
+    """Return how many other pairs repeat the systematic errors of one."""
+    return sum(
+        views.likeness(pair, each)
+        for each in pairs
+        if each is not pair and each.is_link == pair.is_link and each.registration.lidars == pair.registration.lidars
+    )
 
 
 def _hold_open(matrix: FloatArray, pairs: Sequence[ViewPair], state: _State) -> None:
