@@ -286,5 +286,7 @@ def calibrate_alone(
     try:
         result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
     except UnfitSnapshotError as refusal:
-        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal), lidars=snapshot.names)
+        return SnapshotRun(
+            name, None, snapshot.source, snapshot.source_sha256, refusal=str(refusal), lidars=snapshot.names
+        )
     return SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)

@@ -308,9 +308,10 @@ def _run_alone(
 ) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
     request.observe(events.SnapshotStarted(given.name))
-    config = request.config
+    config, sha256 = request.config, ""
     try:
         snapshot = _read(given, config.model_copy(update={"target": ""}), request.observe).snapshot
+        sha256 = snapshot.source_sha256
         own = without_blind_target(snapshot, config)
         if not own.target:
             # The joint result has the ground under the target.
@@ -321,5 +322,5 @@ def _run_alone(
         request.observe(events.SnapshotRefused(given.name, str(refusal)))
         (told,) = without_folders([str(refusal)], given.paths)
         lidars = given.lidars if given.snapshot is None else given.snapshot.names
-        return SnapshotRun(given.name, None, given.source, refusal=told, lidars=lidars)
-    return SnapshotRun(given.name, result, given.source, snapshot.source_sha256)
+        return SnapshotRun(given.name, None, given.source, sha256, refusal=told, lidars=lidars)
+    return SnapshotRun(given.name, result, given.source, sha256)

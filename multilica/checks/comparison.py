@@ -167,6 +167,8 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
         if each.lidar != root
     )
     notes += [knock.text for knock in found.knocks]
+    knocked = {knock.lidar for knock in found.knocks}
+    notes += [f"{each.name}: {each.text}" for each in found.snapshots if {*each.outliers} - knocked]
     notes += _about_covariances(found, root, placed, reference)
     if extra := sorted(names - common):
         notes.append(f"the reference has no pose of {_and(extra)}")

@@ -132,6 +132,13 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
             f"{directory} has the pose of {undone.lidar} before it moved: {undone.motion}; accept a run of the stops "
             "after that."
         )
+    used = [each for each in run.snapshots if not each.refusal]
+    if len(used) > 1 and used[-1].outliers:
+        raise UnfitRunError(
+            f"{directory} has poses that its last snapshot contradicts ({used[-1].name}: {used[-1].text}): "
+            f"{listed(list(used[-1].outliers))} may have moved; accept a run of the snapshots since then, or one "
+            "without that snapshot."
+        )
     new = read_extrinsics_table(file)
     before = None
     if into.exists():

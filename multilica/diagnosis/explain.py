@@ -22,7 +22,7 @@ from multilica.diagnosis.explanation import (
 )
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 from multilica.results.stages import VerifyFigures
-from multilica.results.values import BY_CONTRADICTING, COVERED, ONLY_MOTION, OPEN_POSE
+from multilica.results.values import BY_CONTRADICTING, COVERED, ONLY_GROUND, ONLY_MOTION, OPEN_POSE
 
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
@@ -199,7 +199,8 @@ def _input(document: ResultDocument) -> str:
         f"{name} {entry.points:,} points in {entry.frames} frame{'s' * (entry.frames != 1)}"
         for name, entry in document.input.lidars.items()
     )
-    return f"Input: {document.input.source or 'in memory'} ({counts})."
+    of_one = " in one of them" if len(document.snapshots) > 1 else ""
+    return f"Input: {document.input.source or 'in memory'} ({counts}{of_one})."
 
 
 def _placed(name: str, entry: LidarEntry, target: str) -> Placed:
@@ -223,7 +224,7 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
     headline = f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}."
     why, _, covered = document.lidars[name].reason.partition(f"; {COVERED} ")
     cause = "two_places" if covered else "uncertain"
-    if why.startswith(ONLY_MOTION):
+    if why.startswith((ONLY_MOTION, ONLY_GROUND)):
         headline, cause = f"{name} is uncertain: {why.rstrip('.')}.", "by_motion"
     if document.lidars[name].held_by_movable:
         cause = "held_by_movable"
@@ -257,8 +258,7 @@ def _missing(document: ResultDocument, name: str) -> Missing:
         # The pairs are those of one snapshot, so an accepted one decides nothing.
         unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
         unplaced = "out_of_time" if out_of_time else unplaced
-        by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
-        return replace(_missing_by(document, name, fault or unplaced, None, ""), by_snapshot=by_snapshot)
+        return _missing_by(document, name, fault or unplaced, None, "")
     if not document.snapshots:
         if out_of_time:
             return _missing_by(document, name, "out_of_time", None, next_best)
@@ -296,7 +296,9 @@ def _missing_by(
     advice = tuple(one for one in CAUSES[cause][1:] if not (had_prior and one == PRIOR_ADVICE))
     headline = f"{name} is not placed: {CAUSES[cause][0]}."
     step = step_of(cause, None if decisive is None else decisive.codes)
-    return Missing(name, cause, headline, step, decisive, next_best=next_best, advice=advice)
+    # The pairs are those of one snapshot.
+    by_snapshot = f"{document.lidars[name].reason.rstrip('.')}." if document.snapshots else ""
+    return Missing(name, cause, headline, step, decisive, next_best=next_best, advice=advice, by_snapshot=by_snapshot)
 
 
 def _missing_from_rig(
@@ -342,12 +344,27 @@ def _ground_warnings(document: ResultDocument) -> Iterator[str]:
         yield f"the base frame {document.ground.frame} on the ground is uncertain: {document.ground.doubt}."
 
 
+def _snapshot_warnings(document: ResultDocument) -> Iterator[str]:
+    """Yield a sentence per snapshot that is left out, or that others outvote though no knock explains it."""
+    knocked = {(stop, knock.lidar) for knock in document.knocks for stop in knock.left_out}
+    for snapshot in document.snapshots:
+        if snapshot.refusal:
+            yield f"{snapshot.name} is left out: {snapshot.refusal.rstrip('.')}."
+        for each in snapshot.deviations:
+            if each.outlier and (snapshot.name, each.lidar) not in knocked:
+                yield (
+                    f"{snapshot.name} places {each.lidar} {each.text} from the other snapshots, which outvote it. If "
+                    f"{snapshot.name} is the latest one, {each.lidar} may have moved: check how it is fastened."
+                )
+
+
 def _warnings(document: ResultDocument) -> Iterator[str]:
     """Yield a sentence per doubt: knocks, no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
     yield from (
         f"{knock.text}. Check how {' or '.join((knock.lidar, *knock.rivals))} is fastened, then calibrate again."
         for knock in document.knocks
     )
+    yield from _snapshot_warnings(document)
     yield from _time_warnings(document)
     yield from _ground_warnings(document)
     if document.accepted_by == "fitness" and len(document.placed) > 1:

@@ -54,7 +54,7 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "held_by_movable": (
         "only cars, people and the like hold it in one direction, and they moved or may have moved",
         "several frames (--frames 10), in which moving points show and are left out",
-        _OTHER_PLACE,
+        "another scene, with walls or poles at uneven distances around the vehicle",
         _TOGETHER,
     ),
     "by_motion": (
@@ -178,7 +178,7 @@ class Missing:
         decisive: the pair that was nearest to placing it; None without pairs.
         elsewhere: the accepted pair that puts it at another place; None unless two accepted pairs contradict.
         next_best: the next pose of the decisive pair, or the next pair; empty if there is none.
-        by_snapshot: reason per snapshot, if no single pair decides; else empty.
+        by_snapshot: reason per snapshot, of several; the decisive pair is that of one of them.
         by_stop: stops of a drive that see it linked with others; else empty.
         advice: what would help, the most promising first.
     """

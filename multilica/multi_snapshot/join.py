@@ -43,10 +43,8 @@ from multilica.results import (
     ViewPair,
 )
 from multilica.results.placements import LEAST_PROBABILITY
-from multilica.results.values import ONLY_MOTION
+from multilica.results.values import ONLY_GROUND, ONLY_MOTION
 from multilica.stages.refine import RefinedRig
-
-_BY_GROUND = "only the ground tells its height"
 
 
 def require_joinable(config: CalibrationConfig) -> None:
@@ -326,7 +324,7 @@ class _JointRig:
             return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")
         sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
         along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
-        told_by = _BY_GROUND if lidar in self.rig.covariances else ONLY_MOTION
+        told_by = ONLY_GROUND if lidar in self.rig.covariances else ONLY_MOTION
         reason = f"{told_by}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
         return replace(found, status="uncertain", reason=reason)
 
@@ -369,6 +367,9 @@ class _JointRig:
                 lidar = conflict.lidars[0]
                 found = deviations.get(lidar, SnapshotDeviation(lidar, conflict.distance_m, conflict.angle_deg))
                 deviations[lidar] = replace(found, outlier=True)
+        for knock in self.linked.knocks:
+            if run.name in knock.left_out and knock.lidar in deviations:
+                deviations[knock.lidar] = replace(deviations[knock.lidar], outlier=True)
         return SnapshotReport(
             name=run.name,
             source=run.source,

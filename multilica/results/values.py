@@ -31,6 +31,7 @@ OPEN_POSE = "the scene leaves its pose open in one direction"
 COVERED = "sigma covers that"
 """A contradiction follows these words in the reason of a LiDAR whose covariance is wider for it."""
 
+ONLY_GROUND = "only the ground tells its height"
 ONLY_MOTION = "only its motion between the stops and the ground tell its pose"
 """Begins the reason of a LiDAR that no pair and no link places."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from multilica.documents import MAX_JSON_BYTES, DocumentError, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.results import Knock, LidarPlacement
+from multilica.results import Knock, LidarPlacement, SnapshotReport
 from multilica.results.document import ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
@@ -40,6 +40,7 @@ class SavedRun:
     target: str
     placements: tuple[LidarPlacement, ...]
     knocks: tuple[Knock, ...] = ()
+    snapshots: tuple[SnapshotReport, ...] = ()
 
 
 def read_run_document(path: Path) -> RunDocument:
@@ -134,7 +135,8 @@ def saved_run(run: RunDocument, name: str) -> SavedRun:
         if each.covariance is not None and not np.all(np.linalg.eigvalsh(each.covariance) > 0.0):
             what = f"the covariance of LiDAR '{each.lidar}' is not a positive definite 6x6 matrix"
             raise UnreadableSourceError(f"{run.path} is not a whole result: {what}.")
-    return SavedRun(name, run.document.target, run.document.placements, run.document.knocks)
+    document = run.document
+    return SavedRun(name, document.target, document.placements, document.knocks, document.snapshots)
 
 
 def is_run(path: Path) -> bool:

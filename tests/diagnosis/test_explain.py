@@ -271,7 +271,21 @@ def test_joint_run_takes_the_pair_of_the_shown_snapshot(partial):
     missing = missing_of(jointly(partial))
     assert missing.cause == "ambiguous"
     assert "rear" in (missing.decisive.target, missing.decisive.source)
-    assert not missing.by_snapshot
+    assert missing.by_snapshot == "monday and tuesday place it 0.300 m apart."
+
+
+def test_snapshots_that_do_not_count_are_told():
+    complete = jointly(made_document("complete"))
+    monday, tuesday = complete["snapshots"]
+    off = {"lidar": "rear", "distance_m": 0.08, "angle_deg": 0.5, "outlier": True, "probability": None}
+    tuesday |= {"outliers": ["rear"], "deviations": [off | {"contradicts": []}]}
+    monday["refusal"] = "The vehicle moves."
+    told = explain(complete).warnings
+    assert told[0] == "monday is left out: The vehicle moves."
+    assert told[1].startswith("tuesday places rear 80.0 mm, 0.500 deg from the other snapshots, which outvote it.")
+    knock = {"lidar": "rear", "before": "monday", "after": "tuesday", "distance_m": 0.08, "angle_deg": 0.5}
+    complete["knocks"] = [knock | {"left_out": ["tuesday"]}]
+    assert not [each for each in explain(complete).warnings if "outvote" in each]
 
 
 @pytest.mark.parametrize(("disputed", "cause"), [(("rear",), "disputed"), (("top",), "not_joined"), ((), "not_joined")])

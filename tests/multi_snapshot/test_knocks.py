@@ -13,7 +13,7 @@ from multilica.multi_snapshot import SnapshotRun, join, knocks
 from multilica.multi_snapshot.knocks import find_knock
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.results import CalibrationResult, DriveView, LidarPlacement
-from tests.multi_snapshot.made_drive import STOPS, pairs, refined
+from tests.multi_snapshot.made_drive import STOPS, pairs, refined, split
 from tests.selection import some_of
 
 _EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"
@@ -39,6 +39,20 @@ def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
     assert (knock.lidar, knock.before, knock.after, knock.left_out) == (lidar, "stop 3", "stop 4", ("stop 4",))
     assert not knock.rivals
     assert knock.distance_m == pytest.approx(0.02, abs=0.008)
+
+
+def test_a_stop_on_the_other_side_of_a_knock_is_an_outlier():
+    every = list(_knocked(pairs(_EVERY, np.random.default_rng(10)), "C", {"stop 4"}))
+    within, links = split(every)
+    runs = [
+        SnapshotRun(
+            stop, CalibrationResult("A", "", tuple(LidarPlacement(each, "") for each in "ABC"), trusted=trusted)
+        )
+        for stop, trusted in within.items()
+    ]
+    found = join(runs, CalibrationConfig(target="A"), links=links)
+    assert [knock.lidar for knock in found.knocks] == ["C"]
+    assert [report.outliers for report in found.snapshots] == [(), (), (), ("C",)]
 
 
 def test_a_knock_about_a_stop_without_views_is_dated_around_it():

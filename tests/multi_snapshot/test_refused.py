@@ -29,6 +29,6 @@ def test_a_lidar_that_only_refused_snapshots_have_is_listed() -> None:
 
 
 def test_a_refused_stop_of_a_log_tells_its_lidars() -> None:
-    snapshot = Snapshot((LidarScans("top", (Scan(np.ones((9, 3), np.float32)),)),))
+    snapshot = Snapshot((LidarScans("top", (Scan(np.ones((9, 3), np.float32)),)),), source_sha256="c0ffee")
     run = calibrate_alone("stop_1", snapshot, CalibrationConfig(), events.ignore, Workers(), 1e9, None, EarlierStops())
-    assert (run.result, run.lidars) == (None, ("top",))
+    assert (run.result, run.lidars, run.source_sha256) == (None, ("top",), "c0ffee")

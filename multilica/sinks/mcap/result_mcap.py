@@ -287,9 +287,10 @@ def _encoding(name: str) -> FoxgloveEncoding | Ros2Encoding:
 
 
 def _static_poses(document: ResultDocument, frames: Mapping[str, str]) -> list[RigidTransform]:
-    """Return the base frame above the target, if there is one, then the frame of every LiDAR with a pose."""
+    """Return the base frame above the target, if there is one without a doubt, then that of every LiDAR with a pose."""
     target, ground = document.target, document.ground
-    base = [] if ground is None else [RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))]
+    is_sure = ground is not None and not ground.doubt
+    base = [RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))] if ground and is_sure else []
     poses = (pose for name, pose in document.poses.items() if name != target)
     return [*base, *(RigidTransform(target, frames[pose.source], pose.matrix) for pose in poses)]
 

@@ -208,6 +208,27 @@ def test_a_pose_from_before_a_knock_is_no_reference(invoke: Invoke, result: Path
     assert invoke("check", result, "--against", result).code == ExitCode.DIFFERENT
 
 
+@pytest.mark.parametrize(("outvoted", "code"), [("monday", ExitCode.DONE), ("tuesday", ExitCode.INPUT)])
+def test_poses_the_last_snapshot_contradicts_are_no_reference(
+    invoke: Invoke, result: Path, outvoted: str, code: ExitCode
+) -> None:
+    off = {"lidar": "rear", "distance_m": 0.08, "angle_deg": 0.5, "outlier": True}
+    snapshots = [
+        {"name": name, "source": "", "sha256": "", "refusal": None, "outliers": [], "disputed": [], "deviations": []}
+        | ({"outliers": ["rear"], "deviations": [off]} if name == outvoted else {})
+        for name in ("monday", "tuesday")
+    ]
+    result.write_text(json.dumps(made_document("complete") | {"snapshots": snapshots}))
+    truth_with(result.with_name("calibration.toml"))
+    outcome = invoke("accept", result.parent, "--into", "calibration.toml")
+    assert outcome.code == code
+    if code:
+        assert_one_sentence(outcome, code)
+        assert "(tuesday: OUTLIER: rear is off by 80.0 mm" in outcome.err
+    told = invoke("check", result, "--against", result).out
+    assert f"{outvoted}: OUTLIER: rear is off by 80.0 mm, 0.500 deg from the other snapshots" in told
+
+
 @pytest.mark.slow
 @pytest.mark.in_turn
 def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:

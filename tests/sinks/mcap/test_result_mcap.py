@@ -21,8 +21,9 @@ from rosbags.interfaces import QosDurability
 
 from multilica import events
 from multilica.errors import UnknownNameError
-from multilica.sinks.mcap.result_mcap import ResultMcap
+from multilica.sinks.mcap.result_mcap import ResultMcap, _static_poses
 from multilica.sinks.mcap.ros2_messages import Ros2Encoding
+from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 from tests.sinks.made_scans import STAMP_NS
 
@@ -139,6 +140,14 @@ def test_transforms_come_no_later_than_what_they_place(files, encoding):
     assert first["/tf_static" if encoding == "ros2" else "/tf"] == [STAMP_NS]
     assert all(min(times) >= STAMP_NS for times in first.values())
     assert messages[0][1].topic in ("/tf", "/tf_static")
+
+
+@pytest.mark.parametrize("doubt", ["", "it is seen on one side only"])
+def test_a_doubtful_base_is_no_transform(doubt):
+    document = made_document()
+    document["ground"]["doubt"] = doubt
+    poses = _static_poses(parsed(document), dict.fromkeys(document["lidars"], "lidar"))
+    assert ("base" in {pose.target for pose in poses}) == (not doubt)
 
 
 def test_rosbags_reads_the_ros2_file(files):
