@@ -199,8 +199,8 @@ def _input(document: ResultDocument) -> str:
         f"{name} {entry.points:,} points in {entry.frames} frame{'s' * (entry.frames != 1)}"
         for name, entry in document.input.lidars.items()
     )
-    of_one = " in one of them" if len(document.snapshots) > 1 else ""
-    return f"Input: {document.input.source or 'in memory'} ({counts}{of_one})."
+    of_one = "one of them: " if len(document.snapshots) > 1 else ""
+    return f"Input: {document.input.source or 'in memory'} ({of_one}{counts})."
 
 
 def _placed(name: str, entry: LidarEntry, target: str) -> Placed:

@@ -276,6 +276,7 @@ def test_joint_run_takes_the_pair_of_the_shown_snapshot(partial):
 
 def test_snapshots_that_do_not_count_are_told():
     complete = jointly(made_document("complete"))
+    assert "(one of them: " in explain(complete).input
     monday, tuesday = complete["snapshots"]
     off = {"lidar": "rear", "distance_m": 0.08, "angle_deg": 0.5, "outlier": True, "probability": None}
     tuesday |= {"outliers": ["rear"], "deviations": [off | {"contradicts": []}]}
