@@ -11,7 +11,8 @@ from multilica.checks import RigTolerances, Tolerance, check_rig
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import Knock, LidarPlacement
+from multilica.results import Knock, LidarPlacement, SnapshotReport
+from multilica.results.calibration import SnapshotDeviation
 from multilica.runs import SavedRun
 
 POSES = {
@@ -94,6 +95,28 @@ def test_the_lidar_that_was_knocked_is_no_root():
     assert (check.root, check.moved) == ("front", ("top",))
     pair = run_with(without=("left", "rear"))
     assert checked(replace(pair, knocks=(knock,))).moved == ("top",)
+
+
+def test_all_are_outside_beside_a_root_that_was_knocked():
+    """Both others agree with it alone."""
+    knock = Knock("top", "stop 3", "stop 4", 0.2, 0.1, ("stop 4",))
+    apart = {"front": ((0.02, 0.0, 0.0), (0.0, 0.0, 0.0)), "left": ((0.0, 0.02, 0.0), (0.0, 0.0, 0.0))}
+    run = run_with(apart, without=("rear",))
+    assert checked(run).root == "top"
+    check = checked(replace(run, knocks=(knock,)))
+    assert (check.root, check.moved) == ("top", ("front", "left"))
+
+
+def test_a_snapshot_that_a_knock_explains_is_told_once():
+    knock = Knock("rear", "monday", "tuesday", 0.02, 0.1, ("tuesday",))
+    off = SnapshotDeviation("rear", 0.02, 0.1, outlier=True)
+    snapshots = (SnapshotReport("tuesday", "", "", outliers=("rear",), deviations=(off,)),)
+    told = [note for note in checked(replace(run_with(), snapshots=snapshots)).notes if "tuesday" in note]
+    assert told == ["tuesday: OUTLIER: rear is off by 20.0 mm, 0.100 deg from the other snapshots"]
+    told = [
+        note for note in checked(replace(run_with(), knocks=(knock,), snapshots=snapshots)).notes if "tuesday" in note
+    ]
+    assert told == [knock.text]
 
 
 def test_differences_are_along_the_axes_of_the_root():

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from multilica.diagnosis import CAUSES, explain
-from multilica.results.values import ONLY_MOTION
+from multilica.results.values import ONLY_GROUND, ONLY_MOTION
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import UNPLACED
 
@@ -37,9 +37,10 @@ def test_a_rotation_above_its_limit_is_told_in_degrees(document):
     assert uncertain.headline == "rear is uncertain: sigma 0.310 deg mostly about z of top, limit 0.2 deg."
 
 
-def test_a_pose_that_only_motion_tells_is_told_as_such(document):
+@pytest.mark.parametrize("by", [ONLY_MOTION, ONLY_GROUND])
+def test_a_pose_that_only_motion_tells_is_told_as_such(document, by):
     """Its sigma may be below the limits, which a higher limit would not change."""
-    document["lidars"][UNPLACED]["reason"] = f"{ONLY_MOTION}: sigma along the axes of top x 5 mm, y 5 mm, z 9 mm"
+    document["lidars"][UNPLACED]["reason"] = f"{by}: sigma along the axes of top x 5 mm, y 5 mm, z 9 mm"
     (uncertain,) = explain(parsed(document)).uncertain
     assert uncertain.cause == "by_motion"
     assert uncertain.headline == f"rear is uncertain: {document['lidars'][UNPLACED]['reason']}."

@@ -87,6 +87,18 @@ def test_a_time_that_one_link_tells_stays_possible(monkeypatch, explained, left_
     assert find_knock("A", SimpleNamespace(squared=100.0), stops).left_out == left_out
 
 
+@pytest.mark.parametrize(("explained", "is_named"), [(45.0, False), (40.0, True)])
+def test_what_may_be_the_error_of_another_view_is_no_knock(monkeypatch, explained, is_named):
+    values = {"number": 2, "probability": 1e-9, "may_be_knock": True, "distance_m": 0.02, "angle_rad": 0.0}
+    motions = [
+        SimpleNamespace(lidar="B", explained=50.0, is_told=True, **values),
+        SimpleNamespace(lidar="C", explained=explained, is_told=False, **values),
+    ]
+    monkeypatch.setattr(knocks, "_motions", lambda *_: motions)
+    found = find_knock("A", SimpleNamespace(squared=100.0), [f"stop {number}" for number in range(1, 5)])
+    assert (found is not None) == is_named
+
+
 @pytest.mark.parametrize("lidar", ["A", "B", "C"])
 def test_a_knock_that_chance_may_explain_is_a_possible_one(lidar):
     found = refined(list(_knocked(pairs(_EVERY, np.random.default_rng(10)), lidar, {"stop 4"}, 0.008)))

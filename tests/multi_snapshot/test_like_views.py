@@ -9,8 +9,8 @@ import pytest
 from multilica.config import RefineConfig
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import BiasInformation, LinkedStops
-from multilica.stages.refine import refine
-from tests.multi_snapshot.made_drive import LIDARS, STOPS, STRAIGHT, pair, pairs
+from multilica.stages.refine import _repeated, refine
+from tests.multi_snapshot.made_drive import LIDARS, STOPS, STRAIGHT, pair, pairs, refined
 
 _LINKS = "A1-A2 A2-A3 A3-A4"
 _WITHIN = "A1-B1 A2-B2 A3-B3 A4-B4"
@@ -80,3 +80,17 @@ def test_what_stops_repeat_does_not_average_out(stops, links, worth):
     np.testing.assert_allclose(rig.repeatability["B"][:3, :3], one / 4.0, rtol=0.01, atol=1e-12)
     apart = refine("A", poses, registrations, RefineConfig(), linked)
     np.testing.assert_allclose(apart.covariances["B"][:3, :3], 0.5 * one, rtol=0.01, atol=1e-12)
+
+
+def test_a_link_repeats_no_pair_within_a_stop():
+    views = ViewPoses(LIDARS, STRAIGHT, sorted(LIDARS), sorted(STRAIGHT))
+    every = pairs("A1-B1 A2-B2 A1-B2 A2-B3 A1-A2", stops=STRAIGHT)
+    assert [_repeated(each, every, views) for each in every] == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.0])
+
+
+def test_a_drive_knows_the_stops_of_its_pairs():
+    within = _with_systematic_errors(pairs(_WITHIN, stops=STRAIGHT))
+    found = refined([*within, *pairs(f"{_LINKS} A1-A3 A2-A4 A1-A4", stops=STRAIGHT)])
+    assert len(found.rig.links) == 6
+    one = np.linalg.inv(within[0].registration.information)[:3, :3]
+    np.testing.assert_allclose(found.rig.covariances["B"][:3, :3], 5.0 / 4.0 * one, rtol=0.1, atol=1e-12)

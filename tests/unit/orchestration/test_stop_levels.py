@@ -10,7 +10,7 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration import stop_views
 from multilica.orchestration.pairs import PreparedLidar
-from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views
+from multilica.orchestration.stop_views import BodyCells, DriveStop, levels_of, prepare_views
 from multilica.results import FeatureCloud, PreprocessedCloud
 from multilica.stages.ground import estimate_level_about_z
 
@@ -94,6 +94,17 @@ def test_the_ground_is_no_part_of_the_vehicle(rpy_rad, has_ground):
         on_bonnet = np.all((left_m > [1.0, -0.5, -0.7]) & (left_m < [2.0, 0.5, -0.65]), axis=1)
         assert on_bonnet.sum() == (0 if has_ground else 400)
         assert np.sum(left_m[:, 2] < -1.4) == (len(ground_m) if has_ground else 0)
+
+
+def test_the_body_lies_on_no_plane_that_may_be_the_ground(monkeypatch):
+    asked = []
+    monkeypatch.setattr(stop_views, "find_levels", lambda *_: [_ROAD, _CEILING])
+    monkeypatch.setattr(stop_views, "find_own_body", lambda _, rotations: asked.extend(rotations) or BodyCells.none())
+    empty = FeatureCloud("front", np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 33)))
+    cloud = PreprocessedCloud("front", np.empty((0, 3), np.float32), np.ones((9, 3)))
+    stops = [DriveStop("stop 1", {"front": PreparedLidar(cloud, empty, None, CalibrationConfig())}, ())]
+    prepare_views(stops, {}, CalibrationConfig())
+    assert [rotation.tolist() for rotation in asked] == [_ROAD.rotation.tolist(), _CEILING.rotation.tolist()]
 
 
 def test_each_view_has_the_sigmas_of_all_lidars():

@@ -21,7 +21,7 @@ _POINTS_M = np.random.default_rng(0).uniform(-9.0, 9.0, (4_000, 3))
 _CONFIG = CalibrationConfig()
 
 
-def _levels(monkeypatch, scores, normals=None):
+def _levels(monkeypatch, scores, normals=None, least_score=-np.inf):
     """Find levels where the planes about some axes have those scores."""
     asked = iter(_AXES)
 
@@ -32,7 +32,11 @@ def _levels(monkeypatch, scores, normals=None):
         return made if axis in scores else None
 
     monkeypatch.setattr(ground, "_find_surface", find)
-    return find_levels("top", {"top": _POINTS_M}, {}, _CONFIG)
+    return find_levels("top", {"top": _POINTS_M}, {}, _CONFIG, least_score)
+
+
+def test_little_ground_is_none_about_any_axis(monkeypatch):
+    assert len(_levels(monkeypatch, {"z": 10.0, "y": 9.0, "-x": 11.0}, least_score=10.0)) == 2
 
 
 @pytest.mark.parametrize(
