@@ -116,6 +116,11 @@ class RunState:
         key, reverse = (found.target, found.source), (found.source, found.target)
         return reverse if reverse in self.matches or reverse in self.registrations else key
 
+    def registered(self, pair: results.PairKey) -> results.PairKey:
+        """Return target and source of the pair's registration, to which its figures belong; else the pair as given."""
+        found = self.registrations.get(pair)
+        return pair if found is None else (found.target, found.source)
+
     def progress_of(self, pair: results.PairKey) -> tuple[bool, float, int]:
         """Return an order of pairs by how close they came to being merged."""
         found = self.registrations.get(pair)
@@ -242,8 +247,10 @@ _FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {
     "coarse": lambda state: {pair_label(*pair): _coarse(coarse) for pair, coarse in state.coarse.items()},
     "verify": lambda state: {pair_label(*pair): _verify(found) for pair, found in state.verified.items()},
     "fine": lambda state: {
-        pair_label(*pair): figures.FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
-        for pair, found in state.registrations.items()
+        pair_label(found.target, found.source): figures.FineFigures.of(
+            found.T_target_source, found, verdict=found.verdict.outcome
+        )
+        for found in state.registrations.values()
     },
     "merge": lambda state: {f"step {decision.step}": _merge(decision) for decision in state.decisions},
     "refine": lambda state: {pose.source: figures.PoseFigures.of(pose) for pose in state.rig},

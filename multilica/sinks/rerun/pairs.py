@@ -132,7 +132,8 @@ def _log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: Pai
     outcome, (first, *others) = registration.verdict.outcome, by_weight(registration.verdict.codes) or ("",)
     more = f" and {len(others)} more" if others else ""
     words = f"{outcome}: {REASON_WORDS.get(first, first)}{more}" if first else outcome
-    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), f"{pair_label(*pair)} {words}", outcome)
+    label = f"{pair_label(registration.target, registration.source)} {words}"
+    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, outcome)
     _log_competing(scene, pair, "competing pose")
     if "not_observable" in registration.verdict.codes:
         own = registration.target == pair[0]
@@ -147,7 +148,7 @@ def log_contested_places(scene: RerunScene) -> None:
         if pair is None or failure.elsewhere is None:
             continue
         other = next(name for name in failure.elsewhere if name != failure.lidar)
-        label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
+        label = f"{pair_label(*scene.state.registered(pair))} accept, but {other} puts {failure.lidar} elsewhere"
         start = scene.state.registrations[pair].start_label
         _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
         _log_competing(scene, pair, f"where {other} puts {failure.lidar}")

@@ -48,7 +48,10 @@ PAIR_COLUMNS: Mapping[str, pa.DataType] = {
     **dict.fromkeys(("evidence", "fitness", "rmse_m", "coverage", "violation_share", "sigma_m", "sigma_deg"), _NUMBER),
     **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
 }
-"""Columns of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
+"""Columns of the table of pairs; a figure that is not known is null, a text empty.
+
+Target and source are those of the registration, to which the pose `T_target_source` and the figures belong.
+"""
 MERGE_COLUMNS: Mapping[str, pa.DataType] = {
     **dict.fromkeys(("merge_step", "rank"), _COUNT),
     **dict.fromkeys(("target", "source"), _TEXT),
@@ -229,12 +232,12 @@ def _known(value: object) -> object:
 
 def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
     found, coarse, matches = state.registrations.get(pair), state.coarse.get(pair), state.matches.get(pair)
-    row: dict[str, object] = {"target": pair[0], "source": pair[1]}
+    row: dict[str, object] = dict(zip(("target", "source"), state.registered(pair), strict=True))
     row |= {"matches": None if matches is None else len(matches)}
     row |= {"hypotheses": None if coarse is None else len(coarse.hypotheses)}
     row |= {"pose_from": "", "verdict": "no pose", "reasons": ""}
     if found is not None:
-        pose, reasons = found.T_target_source.with_target(pair[0]), ",".join(found.verdict.codes)
+        pose, reasons = found.T_target_source, ",".join(found.verdict.codes)
         row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, "reasons": reasons, **found.figures}
         row |= zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
     if residual is not None:
