@@ -58,24 +58,24 @@ def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.
 
 
 def above_group(state: RunState) -> rrb.EyeControls3D:
-    """Look down on the slot in which the target's group grows, slightly tilted, z up."""
+    """Look down on the slot in which the target's group grows, slightly tilted."""
     offsets_m = slot_offsets_m(state.snapshot) if state.snapshot is not None else {}
     centre_m = np.array([0.0, offsets_m.get(state.target, 0.0), 0.0])
     radius_m = shown_radius_m(sampled_cloud(state, state.target))
-    position = centre_m + 2.0 * radius_m * np.array([-0.7, 0.0, 0.9])
-    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
+    up = up_axis(state, state.target)
+    ahead, _ = _horizontal(up)
+    position = centre_m + 2.0 * radius_m * (0.9 * up - 0.7 * ahead)
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
 
 
 def above_drive(state: RunState, first: str) -> rrb.EyeControls3D:
     """Look down on the stops that links connect with the first one, in the target's frame there, slightly tilted."""
-    document, result = state.document, state.result
+    document = state.document
     places_m = np.array([np.asarray(stop.T_first_stop)[:3, 3] for stop in document.stops if stop.first == first])
     centre_m = np.mean(places_m, axis=0)
     seen_m = max((shown_radius_m(sampled_cloud(state, lidar)) for lidar in document.poses), default=0.0)
     radius_m = float(np.linalg.norm(places_m - centre_m, axis=1).max()) + seen_m
     up = up_axis(state, document.target)
-    if result is not None and result.level is not None:
-        up = result.level.rotation[2]
     ahead, _ = _horizontal(up)
     position = centre_m + radius_m * (1.8 * up - 0.4 * ahead)
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
@@ -89,12 +89,16 @@ def sampled_cloud(state: RunState, lidar: str) -> FloatArray:
 
 
 def up_axis(state: RunState, lidar: str) -> FloatArray:
-    """Return the up axis (3,) in the LiDAR's frame: its z axis until its pose and the ground are known."""
+    """Return the up axis (3,) in the LiDAR's frame: its z axis until its pose, and the ground or a level, are known."""
     document, up = state.document, np.array([0.0, 0.0, 1.0])
     pose = document.poses.get(lidar)
     if pose is None:
         return up
-    return np.asarray(pose.rotation.T @ (up if document.ground is None else document.ground.normal))
+    if document.ground is not None:
+        up = np.asarray(document.ground.normal)
+    elif state.result is not None and state.result.level is not None:
+        up = state.result.level.rotation[2]
+    return np.asarray(pose.rotation.T @ up)
 
 
 def _extent(points_m: FloatArray) -> tuple[FloatArray, float]:
