@@ -12,7 +12,6 @@ from multilica.geometry import Z_AXIS, Float32Array, FloatArray, RigidTransform,
 from multilica.results import BoolArray, Correspondences, Hypothesis, PairKey
 from multilica.results.document import ResultDocument
 from multilica.sinks.run_state import RunState
-from multilica.snapshot import Snapshot
 
 Rgb = tuple[int, int, int]
 
@@ -92,15 +91,16 @@ def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Arra
     return np.asarray(shown_m, dtype=np.float32)
 
 
-def slot_offsets_m(snapshot: Snapshot) -> dict[str, float]:
-    """Return offsets along y at which the dense parts of the clouds do not overlap."""
-    offsets_m: dict[str, float] = {}
+def slot_offsets_m(state: RunState) -> dict[str, float]:
+    """Return cached offsets along y at which the dense parts of the raw clouds do not overlap."""
+    if state.snapshot is None or state.slots_m:
+        return state.slots_m
     edge_m = 0.0
-    for lidar in snapshot.lidars:
+    for lidar in state.snapshot.lidars:
         radius_m = shown_radius_m(lidar.points_m.astype(np.float32))
-        offsets_m[lidar.name] = edge_m - radius_m
+        state.slots_m[lidar.name] = edge_m - radius_m
         edge_m -= 2.0 * radius_m
-    return offsets_m
+    return state.slots_m
 
 
 def shown_radius_m(points_m: npt.NDArray[np.floating]) -> float:

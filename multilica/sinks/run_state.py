@@ -24,6 +24,20 @@ _DIGEST_CHARACTERS = 16
 _OfPair = results.PairRegistration | results.MergeCandidate | results.PairResidual | results.SurfaceMatches
 
 
+class Extent(NamedTuple):
+    """The dense part of a cloud.
+
+    Args:
+        centre_m: (3,) of a sphere around it.
+        radius_m: of that sphere.
+        reach_m: radius of the same part around the sensor.
+    """
+
+    centre_m: FloatArray
+    radius_m: float
+    reach_m: float
+
+
 @dataclass(slots=True, eq=False)
 class RunState:
     """Accumulated events of a run, from which sinks draw.
@@ -39,6 +53,8 @@ class RunState:
         left_out: LiDARs of which points on objects that moved are left out of the poses.
         figures: cache of `stage_figures`.
         outlines: cache of `field_of_view`.
+        extents: cache of the extent of each LiDAR's cloud.
+        slots_m: cache of `slot_offsets_m`.
     """
 
     snapshot: Snapshot | None = None
@@ -63,6 +79,8 @@ class RunState:
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
+    extents: dict[str, Extent] = field(default_factory=dict)
+    slots_m: dict[str, float] = field(default_factory=dict)
     result: results.CalibrationResult | None = None
     _latest: events.Event | None = None
     _document: ResultDocument | None = None
@@ -149,6 +167,7 @@ class RunState:
                 self.stages.append(stage)
             case events.CloudPreprocessed(cloud):
                 self.clouds[cloud.lidar] = cloud.slim()
+                self.extents.pop(cloud.lidar, None)
             case events.FeaturesComputed(features):
                 self.features[features.lidar] = features
             case events.CorrespondencesMatched(matches):

@@ -175,7 +175,7 @@ class RerunScene:
         limits: set when the calibration starts.
         step: current position on the step timeline.
         started_ns: wall clock of the first event.
-        shown: paths of the entities with a frame so far; later poses only move or relabel clouds.
+        shown: paths of the entities with a frame, or a style, so far; later poses only move or relabel clouds.
         shown_at: per pose the step at which it is shown.
         is_abandoned: True after a failed write; nothing can be logged any more.
     """

@@ -12,7 +12,7 @@ import rerun as rr
 
 from multilica import events
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Correspondences, MergeDecision, PairKey, PairRegistration, PairResidual
+from multilica.results import Correspondences, MergeCandidate, MergeDecision, PairKey, PairRegistration, PairResidual
 from multilica.sinks.drawing import VERDICT_COLOURS, heat_colours, sample_indices
 from multilica.sinks.rerun.lidars import log_in_slot
 from multilica.sinks.rerun.scene import (
@@ -139,15 +139,23 @@ def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
 
 def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
     """Log the figures of the candidates of a merge step."""
-    for pair in candidate_pairs(scene.state):
-        label, colour = pair_label(*pair), scene.pair_colour(*pair)
-        lines = rr.SeriesLines(names=label, colors=colour)
-        points = rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0)
-        scene.log(pair_path(*pair, "merge", "evidence"), lines, points)
     for one in event.decision.candidates:
+        if not one.of_groups:
+            _log_style(scene, one)
         figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
         stage = "merge_groups" if one.of_groups else "merge"
         _log_scalars(scene, scene.state.pair_of(one), stage, figures)
+
+
+def _log_style(scene: RerunScene, candidate: MergeCandidate) -> None:
+    """Log name and colour of the candidate's series, once."""
+    path = pair_path(*scene.state.pair_of(candidate), "merge", "evidence")
+    if path in scene.shown:
+        return
+    scene.shown.add(path)
+    label, colour = (each(candidate.target, candidate.source) for each in (pair_label, scene.pair_colour))
+    lines = rr.SeriesLines(names=label, colors=colour)
+    scene.log(path, lines, rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0))
 
 
 def log_refined(scene: RerunScene, event: events.RigRefined) -> None:

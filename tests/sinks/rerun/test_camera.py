@@ -11,6 +11,7 @@ import pytest
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import PreprocessedCloud
+from multilica.sinks.rerun import views
 from multilica.sinks.rerun.views import above_group, around_lidar, around_rig, beside_lidar
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
@@ -57,3 +58,17 @@ def test_a_target_that_hangs_turned_is_seen_from_above(rpy_deg):
         assert (level.rotation @ line_of_sight(eye))[2] < -0.4
         up = np.array(eye.eye_up.as_arrow_array().to_pylist()[0])
         np.testing.assert_allclose(level.rotation @ up, [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_the_extent_of_a_cloud_is_found_once(monkeypatch):
+    """It takes a fifth of the time of a recording, as each tab of each stage looks at the same clouds."""
+    sampled, state = [], state_of()
+    monkeypatch.setattr(views, "sampled_cloud", lambda of, lidar: sampled.append(lidar) or of.clouds[lidar].points_m)
+    near_m = np.random.default_rng(1).normal(0.0, 3.0, (5000, 3))
+    eyes = {}
+    for scale in (1.0, 2.0):
+        state(events.CloudPreprocessed(PreprocessedCloud("front", near_m.astype(np.float32), scale * near_m)))
+        eyes[scale] = {str(around_lidar(state, "front").position.as_arrow_array()) for _ in range(3)}
+    assert sampled == ["front", "front"]
+    assert len(eyes[1.0]) == len(eyes[2.0]) == 1
+    assert eyes[1.0] != eyes[2.0]

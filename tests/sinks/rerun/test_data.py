@@ -74,6 +74,14 @@ def test_figures_of_a_pair_are_scalars(recordings):
     assert refined == pytest.approx([0.001])
 
 
+def test_the_style_of_a_candidate_is_logged_once(recordings):
+    """The pair is matched as `rear <- top`; both merge steps have it as a candidate."""
+    recording, path = Recording(recordings["partial"]), f"{PAIR}/merge/evidence"
+    assert len(recording.cells(path, "Scalars:scalars")) == 2
+    for series in ("SeriesLines", "SeriesPoints"):
+        assert [cell for _, cell in recording.cells(path, f"{series}:names")] == [["top <- rear"]]
+
+
 def test_matches_are_recorded_in_their_own_frames(recordings):
     recording, truth = Recording(recordings["complete"]), _matched("complete")["rear", "top"]
     path = f"{PAIR}/matches/data"
