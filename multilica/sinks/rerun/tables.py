@@ -86,7 +86,7 @@ def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None
     """Log the number of matches of a pair, and the matches in their own frames; `--record full` keeps all."""
     matches = event.correspondences
     _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
-    rows = sample_indices(len(matches), scene.limits.match_rows)
+    rows = sample_indices(len(matches), scene.limits_of((matches.target, matches.source)).match_rows)
     values = rr.AnyValues(
         target_index=pa.array(matches.target_index[rows], pa.int32()),
         source_index=pa.array(matches.source_index[rows], pa.int32()),
@@ -106,7 +106,7 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
     agree = (
         np.array(told, dtype=np.bool_)
         .reshape(len(told), len(matches))
-        .T[sample_indices(len(matches), scene.limits.match_rows)]
+        .T[sample_indices(len(matches), scene.limits_of((matches.target, matches.source)).match_rows)]
     )
     ends = np.concatenate([[0], np.cumsum(np.count_nonzero(agree, axis=1))])
     lists = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), pa.array(np.nonzero(agree)[1], pa.int32()))
@@ -181,7 +181,7 @@ def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> No
     matches = scene.state.matches.get(pair)
     if matches is None:
         return
-    rows = sample_indices(len(matches), scene.limits.match_rows)
+    rows = sample_indices(len(matches), scene.limits_of(pair).match_rows)
     moved_m = pose.with_target(pair[0]).apply(matches.source_points_m[rows])
     residual_m = np.linalg.norm(moved_m - matches.target_points_m[rows], axis=1)
     scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
@@ -193,7 +193,7 @@ def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> Non
     pair = scene.state.pair_of(found)
     points = (found.target_points_m, found.source_points_m)
     of_target, of_source = points if found.target == pair[0] else points[::-1]
-    rows = sample_indices(len(found), scene.limits.match_rows)
+    rows = sample_indices(len(found), scene.limits_of(pair).match_rows)
     values = rr.AnyValues(
         target_point_m=_points(of_target[rows]),
         source_point_m=_points(of_source[rows]),
