@@ -65,7 +65,8 @@ MERGE_COLUMNS: Mapping[str, pa.DataType] = {
 def log_timings(scene: RerunScene) -> None:
     """Log the name of each stage at its start and end, back to back up to now, on the wall clock alone.
 
-    Equal runs differ on that timeline only.
+    Equal runs differ on that timeline only. The frames of the LiDARs are always logged again, at the earliest time:
+    views need them there if the stages took longer than the recording, as after a slow reading.
     """
     known_s = {stage: seconds for stage, seconds in scene.state.document.timing_s.items() if seconds is not None}
     if not known_s:
@@ -77,9 +78,9 @@ def log_timings(scene: RerunScene) -> None:
     names = [stage for stage in known_s for _ in ("start", "end")]
     columns = rr.AnyValues.columns(stage=pa.array(names))
     scene.stream.send_columns(TIMINGS, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times)], columns)
-    if times[0] < np.datetime64(scene.started_ns, "ns"):  # then views need the frames of the LiDARs there, too
-        for lidar in scene.state.lidars:
-            log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times[:1])])
+    earliest = np.minimum(times[:1], np.datetime64(scene.started_ns, "ns"))
+    for lidar in scene.state.lidars:
+        log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=earliest)])
 
 
 def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:

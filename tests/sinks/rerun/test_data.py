@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,19 @@ def test_timings_are_those_of_the_result(recordings):
     rows = read_recorded_table(recordings["complete"], "timings").to_pylist()
     assert [row["stage"] for row in rows] == ["fine"]
     assert rows[0]["seconds"] == pytest.approx(0.01, abs=1e-8)
+
+
+def test_times_of_stages_change_no_entity_but_by_time(tmp_path, rerun_rrd):
+    """Stages that took longer than the recording need frames before its start."""
+    paths = tmp_path / "quick.rrd", tmp_path / "slow.rrd"
+    for path, seconds in zip(paths, (1e-9, 500.0), strict=True):
+        with RerunRecording(path) as observe:
+            for event in made_events(until="correspond"):
+                finishes = isinstance(event, events.CalibrationFinished)
+                timed = replace(event.result, timing_s={"ingest": seconds}) if finishes else None
+                observe(event if timed is None else events.CalibrationFinished(timed))
+    verdict = rerun_rrd("compare", "--unordered", *paths)
+    assert verdict.returncode == 0, verdict.stderr
 
 
 @pytest.fixture(scope="module")
