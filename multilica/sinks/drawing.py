@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
-from multilica.geometry import Float32Array, FloatArray, RigidTransform, fixed_sign, largest_index
+from multilica.geometry import Z_AXIS, Float32Array, FloatArray, RigidTransform, fixed_sign, largest_index, turn_upwards
 from multilica.results import BoolArray, Correspondences, Hypothesis, PairKey
 from multilica.results.document import ResultDocument
 from multilica.sinks.run_state import RunState
-from multilica.snapshot import Snapshot
 
 Rgb = tuple[int, int, int]
 
@@ -92,15 +91,16 @@ def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Arra
     return np.asarray(shown_m, dtype=np.float32)
 
 
-def slot_offsets_m(snapshot: Snapshot) -> dict[str, float]:
-    """Return offsets along y at which the dense parts of the clouds do not overlap."""
-    offsets_m: dict[str, float] = {}
+def slot_offsets_m(state: RunState) -> dict[str, float]:
+    """Return cached offsets along y at which the dense parts of the raw clouds do not overlap."""
+    if state.snapshot is None or state.slots_m:
+        return state.slots_m
     edge_m = 0.0
-    for lidar in snapshot.lidars:
+    for lidar in state.snapshot.lidars:
         radius_m = shown_radius_m(lidar.points_m.astype(np.float32))
-        offsets_m[lidar.name] = edge_m - radius_m
+        state.slots_m[lidar.name] = edge_m - radius_m
         edge_m -= 2.0 * radius_m
-    return offsets_m
+    return state.slots_m
 
 
 def shown_radius_m(points_m: npt.NDArray[np.floating]) -> float:
@@ -201,17 +201,21 @@ def ellipsoid_label(document: ResultDocument, lidar: str, scale: float) -> str:
 def shown_field_of_view(state: RunState, lidar: str) -> tuple[FloatArray, ...]:
     """Return the cached field of view of a LiDAR whose cloud is preprocessed."""
     if lidar not in state.outlines:
-        state.outlines[lidar] = field_of_view(state.clouds[lidar].returns_m)
+        cloud = state.clouds[lidar]
+        state.outlines[lidar] = field_of_view(cloud.returns_m, cloud.elevation_axis)
     return state.outlines[lidar]
 
 
-def field_of_view(returns_m: Float32Array, radius_m: float = _RADIUS_M) -> tuple[FloatArray, ...]:
+def field_of_view(
+    returns_m: Float32Array, elevation_axis: FloatArray = Z_AXIS, radius_m: float = _RADIUS_M
+) -> tuple[FloatArray, ...]:
     """Return the convex outline, in azimuth and elevation, of a LiDAR's returns.
 
     A LiDAR that sees all around, with no gap of 20 degrees, gets a circle at its lowest and its highest elevation.
 
     Args:
         returns_m: (N, 3) in the sensor's own frame.
+        elevation_axis: (3,) about which its beams turn.
         radius_m: distance at which the outline is drawn.
 
     Returns:
@@ -221,6 +225,8 @@ def field_of_view(returns_m: Float32Array, radius_m: float = _RADIUS_M) -> tuple
     directions = directions[np.linalg.norm(directions, axis=1) > 0.0]
     if len(directions) < 3:
         return ()
+    upwards = turn_upwards(elevation_axis)
+    directions = directions @ upwards.T
     azimuth_rad = np.arctan2(directions[:, 1], directions[:, 0])
     elevation_rad = np.arctan2(directions[:, 2], np.linalg.norm(directions[:, :2], axis=1))
     start_rad, gap_rad = _widest_gap(azimuth_rad)
@@ -241,7 +247,7 @@ def field_of_view(returns_m: Float32Array, radius_m: float = _RADIUS_M) -> tuple
     rays = corners[:: max(1, -(-len(corners) // _MAX_RAYS))]
     tips_m = _on_sphere(rays, radius_m)
     strips = [*(_on_sphere(outline, radius_m) for outline in outlines), *np.stack([0.0 * tips_m, tips_m], axis=1)]
-    return tuple(strips)
+    return tuple(strip @ upwards for strip in strips)
 
 
 def _widest_gap(azimuth_rad: FloatArray) -> tuple[float, float]:

@@ -24,6 +24,20 @@ _DIGEST_CHARACTERS = 16
 _OfPair = results.PairRegistration | results.MergeCandidate | results.PairResidual | results.SurfaceMatches
 
 
+class Extent(NamedTuple):
+    """The dense part of a cloud.
+
+    Args:
+        centre_m: (3,) of a sphere around it.
+        radius_m: of that sphere.
+        reach_m: radius of the same part around the sensor.
+    """
+
+    centre_m: FloatArray
+    radius_m: float
+    reach_m: float
+
+
 @dataclass(slots=True, eq=False)
 class RunState:
     """Accumulated events of a run, from which sinks draw.
@@ -39,6 +53,8 @@ class RunState:
         left_out: LiDARs of which points on objects that moved are left out of the poses.
         figures: cache of `stage_figures`.
         outlines: cache of `field_of_view`.
+        extents: cache of the extent of each LiDAR's cloud.
+        slots_m: cache of `slot_offsets_m`.
     """
 
     snapshot: Snapshot | None = None
@@ -63,6 +79,8 @@ class RunState:
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
+    extents: dict[str, Extent] = field(default_factory=dict)
+    slots_m: dict[str, float] = field(default_factory=dict)
     result: results.CalibrationResult | None = None
     _latest: events.Event | None = None
     _document: ResultDocument | None = None
@@ -116,6 +134,11 @@ class RunState:
         key, reverse = (found.target, found.source), (found.source, found.target)
         return reverse if reverse in self.matches or reverse in self.registrations else key
 
+    def registered(self, pair: results.PairKey) -> results.PairKey:
+        """Return target and source of the pair's registration, to which its figures belong; else the pair as given."""
+        found = self.registrations.get(pair)
+        return pair if found is None else (found.target, found.source)
+
     def progress_of(self, pair: results.PairKey) -> tuple[bool, float, int]:
         """Return an order of pairs by how close they came to being merged."""
         found = self.registrations.get(pair)
@@ -144,6 +167,7 @@ class RunState:
                 self.stages.append(stage)
             case events.CloudPreprocessed(cloud):
                 self.clouds[cloud.lidar] = cloud.slim()
+                self.extents.pop(cloud.lidar, None)
             case events.FeaturesComputed(features):
                 self.features[features.lidar] = features
             case events.CorrespondencesMatched(matches):
@@ -242,8 +266,10 @@ _FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {
     "coarse": lambda state: {pair_label(*pair): _coarse(coarse) for pair, coarse in state.coarse.items()},
     "verify": lambda state: {pair_label(*pair): _verify(found) for pair, found in state.verified.items()},
     "fine": lambda state: {
-        pair_label(*pair): figures.FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
-        for pair, found in state.registrations.items()
+        pair_label(found.target, found.source): figures.FineFigures.of(
+            found.T_target_source, found, verdict=found.verdict.outcome
+        )
+        for found in state.registrations.values()
     },
     "merge": lambda state: {f"step {decision.step}": _merge(decision) for decision in state.decisions},
     "refine": lambda state: {pose.source: figures.PoseFigures.of(pose) for pose in state.rig},

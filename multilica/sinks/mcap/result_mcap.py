@@ -81,13 +81,14 @@ def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[drawing.
         colour = colours[name] if name in poses else drawing.VIOLATE
         label = drawing.Label(places_m[name] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
         yield drawing.Drawing(name, document.target, labels=(label,), lines=(_cross(places_m[name], colour),))
-    for pair, found in sorted(state.registrations.items()):
-        start_m, end_m = places_m[pair[0]], places_m[pair[1]]
+    for _, found in sorted(state.registrations.items()):
+        start_m, end_m = places_m[found.target], places_m[found.source]
         colour = drawing.VERDICT_COLOURS[found.verdict.outcome]
         text = f"{found.fitness:.2f} {found.verdict.outcome}"
         label = drawing.Label(start_m + drawing.EDGE_LABEL_SHARE * (end_m - start_m), text, colour)
         edge = drawing.Lines(np.stack([start_m, end_m])[None], colour)
-        yield drawing.Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
+        name = pair_label(found.target, found.source)
+        yield drawing.Drawing(name, document.target, (edge,), labels=(label,))
 
 
 def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> drawing.Lines:

@@ -231,7 +231,7 @@ def _names(
 def _poses_in_slots(state: RunState) -> dict[str, RigidTransform]:
     """Return where LiDARs are shown after the last merge step: with the target, or in slots of their own."""
     poses = state.document.poses
-    offsets_m = {} if state.snapshot is None else slot_offsets_m(state.snapshot)
+    offsets_m = slot_offsets_m(state)
     slots = {
         lidar: RigidTransform.from_xyz_rpy(scene.DISPLAY_FRAME, lidar, (0.0, offset_m, 0.0), (0.0, 0.0, 0.0))
         for lidar, offset_m in offsets_m.items()

@@ -62,7 +62,7 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
     # Until an entity is logged, the viewer has it in a frame of its own below this one, and reports an error in each
     # view that finds no path from there.
     scene.stream.log(FRAMES, rigid(ROOT_FRAME, DISPLAY_FRAME), static=True)
-    offsets_m = drawing.slot_offsets_m(event.snapshot)
+    offsets_m = drawing.slot_offsets_m(scene.state)
     for lidar in event.snapshot.lidars:
         frame, offset_m = slot_frame(lidar.name), (0.0, offsets_m[lidar.name], 0.0)
         place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))

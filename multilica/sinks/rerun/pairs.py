@@ -58,7 +58,8 @@ def log_matches(scene: RerunScene, event: events.CorrespondencesMatched) -> None
     if features is not None:
         path = pair_path(target, source, "matches", "source")
         frame = pair_frame(target, source, "lifted")
-        scene.log_points(path, frame, features.points_m, scene.colour(source), scene.limits.pair_points)
+        limit = scene.limits_of((target, source)).pair_points
+        scene.log_points(path, frame, features.points_m, scene.colour(source), limit)
     _log_lines(scene, matches, pose, undecided=np.ones(len(matches), dtype=np.bool_))
 
 
@@ -79,9 +80,10 @@ def _lifted(scene: RerunScene, matches: Correspondences, pose: RigidTransform) -
 
 def _log_lines(scene: RerunScene, matches: Correspondences, pose: RigidTransform, **chosen: BoolArray) -> None:
     """Log the matches of each kind of `_MATCH_LINES` as lines."""
+    limit = scene.limits_of((matches.target, matches.source)).matches
     for kind, rows in chosen.items():
         colour, radius_pixels = _MATCH_LINES[kind]
-        lines = match_lines(matches, rows, pose, scene.limits.matches).astype(np.float32)
+        lines = match_lines(matches, rows, pose, limit).astype(np.float32)
         strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
         scene.log_in(lidar_frame(matches.target), pair_path(matches.target, matches.source, "matches", kind), strips)
 
@@ -107,8 +109,9 @@ def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Reg
     target = (scored.target_probes_m, scored.visibility.target_labels)
     if scored.T_target_source.target != pair[0]:
         source, target = target, source
-    _log_side(scene, pair_path(*pair, "scored", "source"), pair_frame(*pair, start), *source)
-    _log_side(scene, pair_path(*pair, "scored", "target"), lidar_frame(pair[0]), *target)
+    limit = scene.limits_of(pair).scored_points
+    _log_side(scene, pair_path(*pair, "scored", "source"), pair_frame(*pair, start), *source, limit)
+    _log_side(scene, pair_path(*pair, "scored", "target"), lidar_frame(pair[0]), *target, limit)
     violations_m, target_violations_m = (points_m[labels == BeamLabel.VIOLATE] for points_m, labels in (source, target))
     moved_m = scored.T_target_source.with_target(pair[0]).apply(violations_m)
     points = np.concatenate([moved_m, target_violations_m]).astype(np.float32)
@@ -116,9 +119,11 @@ def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Reg
     scene.log_in(lidar_frame(pair[0]), pair_path(*pair, "scored", "violations"), shown)
 
 
-def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, labels: npt.NDArray[np.uint8]) -> None:
+def _log_side(
+    scene: RerunScene, path: str, frame: str, points_m: FloatArray, labels: npt.NDArray[np.uint8], limit: int
+) -> None:
     """Log the points with their first labels; for later poses only new labels, and for the source a new frame."""
-    rows = sample_indices(len(points_m), scene.limits.scored_points)
+    rows = sample_indices(len(points_m), limit)
     classes = labels[rows].astype(np.uint16)
     if path in scene.shown:
         scene.log_in(frame, path, rr.Points3D.from_fields(class_ids=classes))
@@ -132,7 +137,8 @@ def _log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: Pai
     outcome, (first, *others) = registration.verdict.outcome, by_weight(registration.verdict.codes) or ("",)
     more = f" and {len(others)} more" if others else ""
     words = f"{outcome}: {REASON_WORDS.get(first, first)}{more}" if first else outcome
-    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), f"{pair_label(*pair)} {words}", outcome)
+    label = f"{pair_label(registration.target, registration.source)} {words}"
+    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, outcome)
     _log_competing(scene, pair, "competing pose")
     if "not_observable" in registration.verdict.codes:
         own = registration.target == pair[0]
@@ -147,7 +153,7 @@ def log_contested_places(scene: RerunScene) -> None:
         if pair is None or failure.elsewhere is None:
             continue
         other = next(name for name in failure.elsewhere if name != failure.lidar)
-        label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
+        label = f"{pair_label(*scene.state.registered(pair))} accept, but {other} puts {failure.lidar} elsewhere"
         start = scene.state.registrations[pair].start_label
         _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
         _log_competing(scene, pair, f"where {other} puts {failure.lidar}")
@@ -168,7 +174,7 @@ def _log_competing(scene: RerunScene, pair: PairKey, words: str) -> None:
     frame = pair_frame(*pair, "competing")
     pose = competing.T_target_source.with_target(pair[0])
     scene.log(pair_path(*pair, "competing", "pose"), rigid(frame, lidar_frame(pair[0]), pose))
-    path, limit = pair_path(*pair, "competing"), scene.limits.pair_points // 3
+    path, limit = pair_path(*pair, "competing"), scene.limits_of(pair).pair_points // 3
     scene.log_points(path, frame, cloud.points_m, scene.colour(pair[1]), limit)
     _log_fitting(scene, pair, competing)
     beams = competing.visibility
@@ -185,7 +191,7 @@ def _log_fitting(scene: RerunScene, pair: PairKey, competing: Registration) -> N
     frames = {"target": lidar_frame(pair[0]), "source": pair_frame(*pair, "competing")}
     for (part, frame), (points_m, labels) in zip(frames.items(), (of_target, of_source), strict=True):
         fitting_m = points_m[labels == BeamLabel.AGREE]
-        rows = sample_indices(len(fitting_m), scene.limits.scored_points)
+        rows = sample_indices(len(fitting_m), scene.limits_of(pair).scored_points)
         shown = rr.Points3D(fitting_m[rows].astype(np.float32), colors=[drawing.AGREE], radii=rr.Radius.ui_points(2.5))
         scene.log_in(frame, pair_path(*pair, "competing", "fitting", part), shown)
 
@@ -315,7 +321,8 @@ def _show_at(scene: RerunScene, pair: PairKey, start: str) -> None:
     cloud = scene.state.clouds.get(source)
     path, frame = pair_path(target, source, "source"), pair_frame(target, source, start)
     if cloud is not None and path not in scene.shown:
-        scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points)
+        limit = scene.limits_of(pair).pair_points
+        scene.log_points(path, frame, cloud.points_m, scene.colour(source), limit)
     else:
         scene.log_in(frame, path)
 
@@ -343,7 +350,8 @@ def _log_before(scene: RerunScene, pair: PairKey, registration: PairRegistration
     frame, path = pair_frame(target, source, "before"), pair_path(target, source, "before")
     pose = hypothesis.T_target_source
     scene.log(pair_path(target, source, "before", "pose"), rigid(frame, lidar_frame(target), pose))
-    scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points // 3)
+    limit = scene.limits_of(pair).pair_points // 3
+    scene.log_points(path, frame, cloud.points_m, scene.colour(source), limit)
 
 
 def _log_scores(scene: RerunScene, pair: PairKey, shown: Hypothesis | Registration | None) -> None:

@@ -150,7 +150,9 @@ def _latest_table(path: Path, entity: str, columns: Mapping[str, pa.DataType]) -
 def _of_pairs(path: Path, parts: Sequence[str], columns: Sequence[str]) -> pa.Table:
     pairs = _latest_table(path, PAIR_TABLE, PAIR_COLUMNS)
     keys: list[PairKey] = list(zip(pairs["target"].to_pylist(), pairs["source"].to_pylist(), strict=True))
-    found = read_batches(path, [pair_path(*key, *parts) for key in keys])
+    # Matches have the order in which the pair was matched, the table of pairs that of its registration.
+    found = read_batches(path, [pair_path(*ends, *parts) for key in keys for ends in (key, key[::-1])])
+    keys = [key if found[pair_path(*key, *parts)] else key[::-1] for key in keys]
     tables = [_pair_table(key, _latest_cells(found[pair_path(*key, *parts)]), columns) for key in keys]
     return pa.concat_tables(tables or [_pair_table(("", ""), {}, columns)])  # a header without pairs too
 

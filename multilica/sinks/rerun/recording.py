@@ -141,10 +141,10 @@ def _abandon(scene: RerunScene) -> None:
 
 
 def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
-    scene.limits, share = limits_for(event.config.record, event.snapshot, len(event.stops))
-    if share < 1.0:
+    scene.plan = limits_for(event.config.record, event.snapshot, len(event.stops))
+    if scene.plan.share < 1.0:
         budget = f"{event.config.record.max_megabytes:g} MB (record.max_megabytes)"
-        text = f"recording {share:.1%} of the usual points and matches to stay below {budget}"
+        text = f"recording {scene.plan.share:.1%} of the usual points and matches to stay below {budget}"
         scene.log_line(LogLine("WARN", text))
     _send_properties(scene, "running")
     log_input(scene, event)

@@ -16,7 +16,7 @@ import rerun as rr
 
 from multilica.config import RecordConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Hypothesis, Registration
+from multilica.results import Hypothesis, PairKey, Registration
 from multilica.sinks.drawing import Rgb, distinct_colours, sample_points
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
@@ -44,9 +44,14 @@ _ALL = 10**9
 _POINT_BYTES, _LINE_BYTES, _LABEL_BYTES, _MATCH_BYTES = 12, 24, 2, 80
 _CLOUDS_OF_A_PAIR = 4
 _SCORED_POSES = 20
-_BYTES_OF_A_RUN, _BYTES_OF_A_PAIR = 1_000_000, 500_000
-"""Poses, curves, tables, blueprints and the index of the file, whatever the number of points."""
-_LEAST_SHARE = 0.01
+_BYTES_OF_A_RUN, _BYTES_OF_A_PAIR = 2_000_000, 200_000
+"""Poses, curves, tables, blueprints and the index of the file, whatever the number of points.
+
+Measured without points: 3.0 MB with 4 LiDARs and 6 pairs, 12.4 MB with 20 LiDARs and 54 pairs.
+"""
+_LEAST_SHARE, _LATER_SHARE = 0.01, 0.1
+# A search until accepted pairs link all LiDARs, and the loops that it tests, take 54 pairs of 20 LiDARs.
+_PAIRS_PER_LIDAR = 3
 STEP_TIMELINE = "step"
 ITERATION_TIMELINE = "iteration"
 CLOCK_TIMELINE = "log_time"
@@ -118,8 +123,27 @@ class RecordLimits(NamedTuple):
     matches: int
     match_rows: int
 
+    def times(self, share: float) -> RecordLimits:
+        """Return a share of all counts."""
+        return RecordLimits(*(int(share * limit) for limit in self))
+
+
+class RecordPlan(NamedTuple):
+    """Limits of a recording.
+
+    Args:
+        limits: that keep it below its budget.
+        share: of the usual limits.
+        pairs: number of pairs that are recorded with these limits; later ones get a tenth.
+    """
+
+    limits: RecordLimits
+    share: float = 1.0
+    pairs: int = _ALL
+
 
 NO_LIMITS = RecordLimits(*[_ALL] * 9)
+_NO_PLAN = RecordPlan(NO_LIMITS)
 _LIMITS: Mapping[str, RecordLimits] = {
     "full": NO_LIMITS,
     "normal": RecordLimits(500_000, 500_000, 500_000, 1500, 30_000, 30_000, 6000, 1000, 2000),
@@ -127,23 +151,29 @@ _LIMITS: Mapping[str, RecordLimits] = {
 }
 
 
-def limits_for(config: RecordConfig, snapshot: Snapshot, stops: int = 0) -> tuple[RecordLimits, float]:
-    """Return the limits that keep the recording below its budget, and their share of the usual ones.
+def limits_for(config: RecordConfig, snapshot: Snapshot, stops: int = 0) -> RecordPlan:
+    """Return the limits that keep the recording below its budget.
+
+    Not all pairs of many LiDARs are searched: if all at the usual limits exceed the budget, later ones count a tenth.
 
     Args:
         stops: number of stops of a drive that are recorded.
     """
     limits = _LIMITS[config.detail]
     if config.detail == "full":
-        return limits, 1.0
+        return RecordPlan(limits)
     counts = [lidar.points_count for lidar in snapshot.lidars]
     pairs = len(counts) * (len(counts) - 1) // 2
     budget = config.max_megabytes * 1e6 - _BYTES_OF_A_RUN - pairs * _BYTES_OF_A_PAIR
-    share = min(1.0, max(_LEAST_SHARE, budget / _expected_bytes(limits, counts, stops)))
-    return RecordLimits(*(int(share * limit) for limit in limits)), share
+    if budget >= _expected_bytes(limits, counts, stops, pairs):
+        return RecordPlan(limits)
+    planned = min(pairs, _PAIRS_PER_LIDAR * len(counts))
+    expected = _expected_bytes(limits, counts, stops, planned + _LATER_SHARE * (pairs - planned))
+    share = min(1.0, max(_LEAST_SHARE, budget / expected))
+    return RecordPlan(limits.times(share), share, planned)
 
 
-def _expected_bytes(limits: RecordLimits, counts: list[int], stops: int) -> float:
+def _expected_bytes(limits: RecordLimits, counts: list[int], stops: int, pairs: float) -> float:
     """Return an upper bound of the size: thinning drops more, files are compressed."""
     per_lidar = sum(
         _POINT_BYTES * (min(limits.raw_points, count) + min(limits.cloud_points, count))
@@ -152,7 +182,7 @@ def _expected_bytes(limits: RecordLimits, counts: list[int], stops: int) -> floa
         + _POINT_BYTES * stops * min(limits.stop_points, count)
         for count in counts
     )
-    pairs, largest = len(counts) * (len(counts) - 1) / 2, max(counts, default=0)
+    largest = max(counts, default=0)
     per_pair = (
         _CLOUDS_OF_A_PAIR * _POINT_BYTES * min(limits.pair_points, largest)
         + 3 * _LINE_BYTES * limits.matches
@@ -172,10 +202,10 @@ class RerunScene:
     Args:
         state: after the current event.
         file: that the stream writes.
-        limits: set when the calibration starts.
+        plan: set when the calibration starts.
         step: current position on the step timeline.
         started_ns: wall clock of the first event.
-        shown: paths of the entities with a frame so far; later poses only move or relabel clouds.
+        shown: paths of the entities with a frame, or a style, so far; later poses only move or relabel clouds.
         shown_at: per pose the step at which it is shown.
         is_abandoned: True after a failed write; nothing can be logged any more.
     """
@@ -183,12 +213,23 @@ class RerunScene:
     stream: rr.RecordingStream
     state: RunState
     file: Path
-    limits: RecordLimits = NO_LIMITS
+    plan: RecordPlan = _NO_PLAN
     step: int = -1
     started_ns: int = 0
     shown: set[str] = field(default_factory=set)
     shown_at: dict[Hypothesis | Registration, int] = field(default_factory=dict)
     is_abandoned: bool = False
+    _numbers: dict[frozenset[str], int] = field(default_factory=dict)
+
+    @property
+    def limits(self) -> RecordLimits:
+        """The limits of what is not of a pair."""
+        return self.plan.limits
+
+    def limits_of(self, pair: PairKey) -> RecordLimits:
+        """Return the limits of a pair, in either order: a tenth after as many pairs as planned."""
+        number = self._numbers.setdefault(frozenset(pair), len(self._numbers))
+        return self.limits if number < self.plan.pairs else self.limits.times(_LATER_SHARE)
 
     def advance(self, steps: int = 1) -> None:
         """Advance by a step, or by more to leave room for curves."""

@@ -12,7 +12,7 @@ import rerun as rr
 
 from multilica import events
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Correspondences, MergeDecision, PairKey, PairRegistration, PairResidual
+from multilica.results import Correspondences, MergeCandidate, MergeDecision, PairKey, PairRegistration, PairResidual
 from multilica.sinks.drawing import VERDICT_COLOURS, heat_colours, sample_indices
 from multilica.sinks.rerun.lidars import log_in_slot
 from multilica.sinks.rerun.scene import (
@@ -48,7 +48,10 @@ PAIR_COLUMNS: Mapping[str, pa.DataType] = {
     **dict.fromkeys(("evidence", "fitness", "rmse_m", "coverage", "violation_share", "sigma_m", "sigma_deg"), _NUMBER),
     **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
 }
-"""Columns of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
+"""Columns of the table of pairs; a figure that is not known is null, a text empty.
+
+Target and source are those of the registration, to which the pose `T_target_source` and the figures belong.
+"""
 MERGE_COLUMNS: Mapping[str, pa.DataType] = {
     **dict.fromkeys(("merge_step", "rank"), _COUNT),
     **dict.fromkeys(("target", "source"), _TEXT),
@@ -62,7 +65,8 @@ MERGE_COLUMNS: Mapping[str, pa.DataType] = {
 def log_timings(scene: RerunScene) -> None:
     """Log the name of each stage at its start and end, back to back up to now, on the wall clock alone.
 
-    Equal runs differ on that timeline only.
+    Equal runs differ on that timeline only. The frames of the LiDARs are always logged again, at the earliest time:
+    views need them there if the stages took longer than the recording, as after a slow reading.
     """
     known_s = {stage: seconds for stage, seconds in scene.state.document.timing_s.items() if seconds is not None}
     if not known_s:
@@ -74,16 +78,16 @@ def log_timings(scene: RerunScene) -> None:
     names = [stage for stage in known_s for _ in ("start", "end")]
     columns = rr.AnyValues.columns(stage=pa.array(names))
     scene.stream.send_columns(TIMINGS, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times)], columns)
-    if times[0] < np.datetime64(scene.started_ns, "ns"):  # then views need the frames of the LiDARs there, too
-        for lidar in scene.state.lidars:
-            log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times[:1])])
+    earliest = np.minimum(times[:1], np.datetime64(scene.started_ns, "ns"))
+    for lidar in scene.state.lidars:
+        log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=earliest)])
 
 
 def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
     """Log the number of matches of a pair, and the matches in their own frames; `--record full` keeps all."""
     matches = event.correspondences
     _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
-    rows = sample_indices(len(matches), scene.limits.match_rows)
+    rows = sample_indices(len(matches), scene.limits_of((matches.target, matches.source)).match_rows)
     values = rr.AnyValues(
         target_index=pa.array(matches.target_index[rows], pa.int32()),
         source_index=pa.array(matches.source_index[rows], pa.int32()),
@@ -103,7 +107,7 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
     agree = (
         np.array(told, dtype=np.bool_)
         .reshape(len(told), len(matches))
-        .T[sample_indices(len(matches), scene.limits.match_rows)]
+        .T[sample_indices(len(matches), scene.limits_of((matches.target, matches.source)).match_rows)]
     )
     ends = np.concatenate([[0], np.cumsum(np.count_nonzero(agree, axis=1))])
     lists = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), pa.array(np.nonzero(agree)[1], pa.int32()))
@@ -136,15 +140,23 @@ def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
 
 def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
     """Log the figures of the candidates of a merge step."""
-    for pair in candidate_pairs(scene.state):
-        label, colour = pair_label(*pair), scene.pair_colour(*pair)
-        lines = rr.SeriesLines(names=label, colors=colour)
-        points = rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0)
-        scene.log(pair_path(*pair, "merge", "evidence"), lines, points)
     for one in event.decision.candidates:
+        if not one.of_groups:
+            _log_style(scene, one)
         figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
         stage = "merge_groups" if one.of_groups else "merge"
         _log_scalars(scene, scene.state.pair_of(one), stage, figures)
+
+
+def _log_style(scene: RerunScene, candidate: MergeCandidate) -> None:
+    """Log name and colour of the candidate's series, once."""
+    path = pair_path(*scene.state.pair_of(candidate), "merge", "evidence")
+    if path in scene.shown:
+        return
+    scene.shown.add(path)
+    label, colour = (each(candidate.target, candidate.source) for each in (pair_label, scene.pair_colour))
+    lines = rr.SeriesLines(names=label, colors=colour)
+    scene.log(path, lines, rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0))
 
 
 def log_refined(scene: RerunScene, event: events.RigRefined) -> None:
@@ -170,7 +182,7 @@ def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> No
     matches = scene.state.matches.get(pair)
     if matches is None:
         return
-    rows = sample_indices(len(matches), scene.limits.match_rows)
+    rows = sample_indices(len(matches), scene.limits_of(pair).match_rows)
     moved_m = pose.with_target(pair[0]).apply(matches.source_points_m[rows])
     residual_m = np.linalg.norm(moved_m - matches.target_points_m[rows], axis=1)
     scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
@@ -182,7 +194,7 @@ def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> Non
     pair = scene.state.pair_of(found)
     points = (found.target_points_m, found.source_points_m)
     of_target, of_source = points if found.target == pair[0] else points[::-1]
-    rows = sample_indices(len(found), scene.limits.match_rows)
+    rows = sample_indices(len(found), scene.limits_of(pair).match_rows)
     values = rr.AnyValues(
         target_point_m=_points(of_target[rows]),
         source_point_m=_points(of_source[rows]),
@@ -229,12 +241,12 @@ def _known(value: object) -> object:
 
 def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
     found, coarse, matches = state.registrations.get(pair), state.coarse.get(pair), state.matches.get(pair)
-    row: dict[str, object] = {"target": pair[0], "source": pair[1]}
+    row: dict[str, object] = dict(zip(("target", "source"), state.registered(pair), strict=True))
     row |= {"matches": None if matches is None else len(matches)}
     row |= {"hypotheses": None if coarse is None else len(coarse.hypotheses)}
     row |= {"pose_from": "", "verdict": "no pose", "reasons": ""}
     if found is not None:
-        pose, reasons = found.T_target_source.with_target(pair[0]), ",".join(found.verdict.codes)
+        pose, reasons = found.T_target_source, ",".join(found.verdict.codes)
         row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, "reasons": reasons, **found.figures}
         row |= zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
     if residual is not None:

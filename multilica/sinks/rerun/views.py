@@ -13,7 +13,7 @@ from multilica.results import PairKey
 from multilica.sinks.drawing import distinct_colours, kept_count, sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.rerun.pairs import lift_m
 from multilica.sinks.rerun.scene import LOG, lidar_frame, lidar_path, pair_path
-from multilica.sinks.run_state import RunState
+from multilica.sinks.run_state import Extent, RunState
 from multilica.sinks.text.log_lines import pair_label
 
 Overrides = dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]
@@ -29,14 +29,14 @@ _SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occlud
 
 def around_lidar(state: RunState, lidar: str, *, zoom: float = 1.0, raised_m: float = 0.0) -> rrb.EyeControls3D:
     """Look at one LiDAR's cloud in its own frame, or at a point above it; a smaller zoom shows more around it."""
-    centre_m, radius_m = _extent(sampled_cloud(state, lidar))
-    centre_m = centre_m + np.array([0.0, 0.0, raised_m])
-    return three_quarter(centre_m, radius_m / zoom, up_axis(state, lidar))
+    extent = _shown_extent(state, lidar)
+    centre_m = extent.centre_m + np.array([0.0, 0.0, raised_m])
+    return three_quarter(centre_m, extent.radius_m / zoom, up_axis(state, lidar))
 
 
 def beside_lidar(state: RunState, lidar: str) -> rrb.EyeControls3D:
     """Look at one LiDAR's cloud from the side, for a view that is wider than high."""
-    centre_m, radius_m = _extent(sampled_cloud(state, lidar))
+    centre_m, radius_m, _ = _shown_extent(state, lidar)
     up = up_axis(state, lidar)
     ahead, aside = _horizontal(up, centre_m)
     position = centre_m + radius_m * (-0.5 * ahead - 1.3 * aside + 1.1 * up)
@@ -58,24 +58,23 @@ def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.
 
 
 def above_group(state: RunState) -> rrb.EyeControls3D:
-    """Look down on the slot in which the target's group grows, slightly tilted, z up."""
-    offsets_m = slot_offsets_m(state.snapshot) if state.snapshot is not None else {}
-    centre_m = np.array([0.0, offsets_m.get(state.target, 0.0), 0.0])
-    radius_m = shown_radius_m(sampled_cloud(state, state.target))
-    position = centre_m + 2.0 * radius_m * np.array([-0.7, 0.0, 0.9])
-    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
+    """Look down on the slot in which the target's group grows, slightly tilted."""
+    centre_m = np.array([0.0, slot_offsets_m(state).get(state.target, 0.0), 0.0])
+    radius_m = _shown_extent(state, state.target).reach_m
+    up = up_axis(state, state.target)
+    ahead, _ = _horizontal(up)
+    position = centre_m + 2.0 * radius_m * (0.9 * up - 0.7 * ahead)
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
 
 
 def above_drive(state: RunState, first: str) -> rrb.EyeControls3D:
     """Look down on the stops that links connect with the first one, in the target's frame there, slightly tilted."""
-    document, result = state.document, state.result
+    document = state.document
     places_m = np.array([np.asarray(stop.T_first_stop)[:3, 3] for stop in document.stops if stop.first == first])
     centre_m = np.mean(places_m, axis=0)
-    seen_m = max((shown_radius_m(sampled_cloud(state, lidar)) for lidar in document.poses), default=0.0)
+    seen_m = max((_shown_extent(state, lidar).reach_m for lidar in document.poses), default=0.0)
     radius_m = float(np.linalg.norm(places_m - centre_m, axis=1).max()) + seen_m
     up = up_axis(state, document.target)
-    if result is not None and result.level is not None:
-        up = result.level.rotation[2]
     ahead, _ = _horizontal(up)
     position = centre_m + radius_m * (1.8 * up - 0.4 * ahead)
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
@@ -89,12 +88,29 @@ def sampled_cloud(state: RunState, lidar: str) -> FloatArray:
 
 
 def up_axis(state: RunState, lidar: str) -> FloatArray:
-    """Return the up axis (3,) in the LiDAR's frame: its z axis until its pose and the ground are known."""
+    """Return the up axis (3,) in the LiDAR's frame: its z axis until its pose, and the ground or a level, are known."""
     document, up = state.document, np.array([0.0, 0.0, 1.0])
     pose = document.poses.get(lidar)
     if pose is None:
         return up
-    return np.asarray(pose.rotation.T @ (up if document.ground is None else document.ground.normal))
+    if document.ground is not None:
+        up = np.asarray(document.ground.normal)
+    elif state.result is not None and state.result.level is not None:
+        up = state.result.level.rotation[2]
+    return np.asarray(pose.rotation.T @ up)
+
+
+def _shown_extent(state: RunState, lidar: str) -> Extent:
+    """Return the cached extent of a LiDAR's preprocessed cloud."""
+    if lidar not in state.clouds:
+        return _whole_extent(np.empty((0, 3)))
+    if lidar not in state.extents:
+        state.extents[lidar] = _whole_extent(sampled_cloud(state, lidar))
+    return state.extents[lidar]
+
+
+def _whole_extent(points_m: FloatArray) -> Extent:
+    return Extent(*_extent(points_m), shown_radius_m(points_m))
 
 
 def _extent(points_m: FloatArray) -> tuple[FloatArray, float]:

@@ -58,7 +58,7 @@ def _figures_row(state: RunState, pair: results.PairKey) -> Sequence[str]:
     coarse, found = state.coarse.get(pair), state.registrations.get(pair)
     matches = state.matches.get(pair)
     graph = ("-", "-") if coarse is None else (f"{coarse.graph_nodes:,}", f"{coarse.graph_edges:,}")
-    counts = (pair_label(*pair), "-" if matches is None else f"{len(matches):,}", *graph)
+    counts = (pair_label(*state.registered(pair)), "-" if matches is None else f"{len(matches):,}", *graph)
     if found is None:
         return (*counts, "-", "-", "-", "no pose", "-")
     reasons = ", ".join(found.verdict.codes).replace("_", " ") or "-"
@@ -76,7 +76,7 @@ def pair_scores_markdown(
         shown_at: the step at which each pose is shown.
     """
     found, coarse = state.registrations.get(pair), state.coarse.get(pair)
-    parts = [f"# {pair_label(*pair)}"]
+    parts = [f"# {pair_label(*state.registered(pair))}"]
     if found is not None:
         parts.append("\n- ".join([f"**{found.verdict.outcome}**", *(reason.text for reason in found.verdict.reasons)]))
     if coarse is not None:
@@ -85,7 +85,14 @@ def pair_scores_markdown(
         parts.append(f"{matches}hypotheses: {len(coarse.hypotheses)}")
     rows = _score_rows(state, pair, shown, shown_at)
     parts += [markdown_table(_SCORES_HEADER, rows)] if rows else []
-    return "\n\n".join([*parts, _SCORES_LEGEND])
+    return "\n\n".join([*parts, *_opposite_scores(state, pair), _SCORES_LEGEND])
+
+
+def _opposite_scores(state: RunState, pair: results.PairKey) -> Iterator[str]:
+    """Name target and source of the scores after a short GICP, if those of the registration are exchanged."""
+    verified, registered = state.verified.get(pair, ()), state.registered(pair)
+    if any(one.T_target_source.target != registered[0] for one in verified):
+        yield f"Fitness and RMSE after a short GICP are those of {pair_label(*reversed(registered))}."
 
 
 def _score_rows(
@@ -134,7 +141,7 @@ def hypotheses_markdown(state: RunState) -> str:
 
 
 def _hypothesis_rows(state: RunState, pair: results.PairKey) -> Iterable[Sequence[str]]:
-    label = pair_label(*pair)
+    label = pair_label(*state.registered(pair))
     hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
     found, verified = state.registrations.get(pair), state.verified.get(pair, ())
     scored = verified or (() if found is None else found.registrations)

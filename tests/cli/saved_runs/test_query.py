@@ -16,7 +16,7 @@ from tests.selection import some_of
 from tests.sinks.conftest import record
 from tests.sinks.made_events import made_events
 
-_PAIRS = [("front left/1", "rear"), ("front left/1", "top"), ("rear", "top")]
+_PAIRS = [("rear", "front left/1"), ("front left/1", "top"), ("rear", "top")]
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multilica.config import CalibrationConfig
-from multilica.geometry import RigidTransform
-from multilica.results import CalibrationResult, LidarPlacement
+from multilica.geometry import RigidTransform, turn_upwards
+from multilica.results import CalibrationResult, LidarPlacement, PreprocessedCloud
 from multilica.results.building import Provenance, result_document
 from multilica.results.document import InputEntry, ResultDocument
-from multilica.sinks.drawing import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
+from multilica.sinks.drawing import ellipsoid_scale, field_of_view, shown_field_of_view, uncertainty_ellipsoid
+from multilica.sinks.run_state import RunState
 
 
 def returns(azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float]) -> np.ndarray:
@@ -49,6 +50,24 @@ def test_a_spinning_lidar_has_a_circle_at_either_end():
     low, high, *_ = field_of_view(returns((-180.0, 177.0), (-20.0, 12.0)))
     for circle, expected in ((low, -20.0), (high, 12.0)):
         np.testing.assert_allclose(angles_deg(circle)[1], expected, atol=0.1)
+
+
+@pytest.mark.parametrize("limits_deg", [(-60.0, 60.0), (-180.0, 177.0)])
+def test_an_outline_turns_with_the_frame_of_the_sensor(limits_deg):
+    seen_m, upwards = returns(limits_deg, (-20.0, 12.0)), turn_upwards(np.array([1.0, 0.0, 0.0]))
+    expected = field_of_view(seen_m)
+    found = field_of_view(seen_m @ upwards, np.array([1.0, 0.0, 0.0]))
+    for strip, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(strip @ upwards.T, other, atol=1e-6)
+
+
+def test_the_shown_outline_has_the_axis_of_the_cloud():
+    upwards, state = turn_upwards(np.array([1.0, 0.0, 0.0])), RunState()
+    seen_m = returns((-180.0, 177.0), (-20.0, 12.0)) @ upwards
+    state.clouds["front"] = PreprocessedCloud("front", seen_m, seen_m, elevation_axis=upwards[2])
+    low, high, *_ = shown_field_of_view(state, "front")
+    np.testing.assert_allclose(np.ptp(low[:, 0]), 0.0, atol=1e-6)
+    assert low[0, 0] < 0.0 < high[0, 0]
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((5, 3)), np.tile([[1.0, 0.0, 0.0]], (9, 1))])

@@ -153,8 +153,7 @@ def test_edges_of_the_graph_have_the_fitness_of_their_pair(messages):
     assert len(labels) == len(made.PAIR_FITNESS)
     for name, (text, xyz_m) in labels.items():
         first, second = name.split(" <- ")
-        fitness = made.PAIR_FITNESS.get((first, second)) or made.PAIR_FITNESS[second, first]
-        assert float(text.split()[0]) == pytest.approx(fitness, abs=0.005001)
+        assert float(text.split()[0]) == pytest.approx(made.PAIR_FITNESS[first, second], abs=0.005001)
         start_m, end_m = TRUTH[first].xyz_m, TRUTH[second].xyz_m
         np.testing.assert_allclose(xyz_m, start_m + 0.4 * (end_m - start_m), atol=1e-6)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from multilica.sinks.rerun.reading import read_recorded_table
 from tests.sinks.made_events import LIDARS, TRUTH
 from tests.sinks.numbers import made_numbers as made
 from tests.sinks.numbers.expected import POSED, placement_columns, pose_columns
@@ -72,17 +73,13 @@ def test_poses_of_the_summary(recording):
     assert made.ground_sentence() in text
 
 
-def of_pair(figures, label):
-    first, second = label.split(" <- ")
-    return figures[first, second] if (first, second) in figures else figures[second, first]
-
-
 def test_figures_of_the_pairs(recording):
     (rows,) = markdown_tables(document(recording, "/pair_figures"))
     assert len(rows) == len(made.PAIR_FITNESS)
     for label, cells in rows.items():
-        agree, violate, occluded, _ = of_pair(made.PAIR_COUNTS, label)
-        fitness, coverage = of_pair(made.PAIR_FITNESS, label), agree / (agree + violate + occluded)
+        pair = tuple(label.split(" <- "))
+        agree, violate, occluded, _ = made.PAIR_COUNTS[pair]
+        fitness, coverage = made.PAIR_FITNESS[pair], agree / (agree + violate + occluded)
         known = {"matches": 80, "graph nodes": 80, "graph edges": 200}
         assert cells.pop("violate") == f"{100 * violate / (agree + violate):.1f}%"
         assert_figures(cells, {**known, "fitness": fitness, "coverage": coverage})
@@ -92,13 +89,34 @@ def test_scores_of_the_pairs(recording):
     for (target, source), fitness in made.PAIR_FITNESS.items():
         first, second = sorted((target, source))
         path = rr.new_entity_path(["pairs", first, second, "scores"])
-        (rows,) = markdown_tables(document(recording, path))
+        text = document(recording, path)
+        (rows,) = markdown_tables(text)
+        assert text.startswith(f"# {target} <- {source}\n")
+        opposite = f"Fitness and RMSE after a short GICP are those of {first} <- {second}."
+        assert (opposite in text) is (first != target)
+        (verdict,) = recording.last(path.removesuffix("scores") + "verdict", "Points3D:labels")
+        assert verdict.startswith(f"{target} <- {source} ")
         best = {heading: cell.strip("*") for heading, cell in rows["**clique 0**"].items()}
         agree, violate, occluded, _ = made.PAIR_COUNTS[target, source]
         assert best.pop("evidence")
         assert best.pop("step")
         figures = {"fitness": fitness, "RMSE m": made.PAIR_RMSE_MM[target, source] / 1000.0}
         assert_figures(best, {"matches": 20, "agree": agree, "violate": violate, "occluded": occluded} | figures)
+
+
+def test_rows_of_the_pairs_are_their_registrations(recording, numbered_run):
+    rows = read_recorded_table(numbered_run.directory / "recording.rrd", "pairs").to_pylist()
+    assert {(row["target"], row["source"]): row["fitness"] for row in rows} == made.PAIR_FITNESS
+    for row in rows:
+        pose = pose_of([row[f"{axis}_m"] for axis in "xyz"], turn_of_quaternion(*(row[f"q{axis}"] for axis in "xyzw")))
+        truth = np.linalg.inv(TRUTH[row["target"]].matrix) @ TRUTH[row["source"]].matrix
+        np.testing.assert_allclose(pose, truth, atol=1e-9)
+    shown = {
+        tuple(label.split(" <- ")): float(cells["fitness"])
+        for label, cells in markdown_tables(document(recording, "/hypotheses"))[0].items()
+        if cells["fitness"] != "-"
+    }
+    assert {pair: shown.get(pair, fitness) for pair, fitness in made.PAIR_FITNESS.items()} == made.PAIR_FITNESS
 
 
 def test_candidates_of_the_merge(recording):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,13 @@ def _matched(outcome):
     }
 
 
+def _registered(outcome):
+    """Target and source of each registration, else as matched, in the order of `_matched`."""
+    found = [event.registration for event in made_events(outcome) if isinstance(event, events.PairRegistered)]
+    ends = {frozenset((each.target, each.source)): (each.target, each.source) for each in found}
+    return [ends.get(frozenset(pair), pair) for pair in sorted(_matched(outcome))]
+
+
 @pytest.mark.parametrize("outcome", ["complete", "partial", "failed"])
 def test_the_documented_lines_read_the_pairs(recordings, outcome, monkeypatch):
     monkeypatch.chdir(recordings[outcome].parent)
@@ -44,7 +52,7 @@ def test_the_documented_lines_read_the_pairs(recordings, outcome, monkeypatch):
     names: dict = {}
     exec(code, names)  # noqa: S102 - the documentation's own lines
     pairs = names["pairs"]
-    assert list(zip(pairs["target"], pairs["source"], strict=True)) == sorted(_matched(outcome))
+    assert list(zip(pairs["target"], pairs["source"], strict=True)) == _registered(outcome)
     refused = [UNPLACED in pair or outcome == "failed" for pair in zip(pairs["target"], pairs["source"], strict=True)]
     accepted = [verdict == "accept" for verdict in pairs["verdict"]]
     assert accepted == [not (each and outcome != "complete") for each in refused]
@@ -65,6 +73,14 @@ def test_figures_of_a_pair_are_scalars(recordings):
         assert recording.last(f"{PAIR}/{path}", "Scalars:scalars") == pytest.approx([value]), path
     refined = recording.last("/pairs/front\\ left\\/1/top/refine/residual_m", "Scalars:scalars")
     assert refined == pytest.approx([0.001])
+
+
+def test_the_style_of_a_candidate_is_logged_once(recordings):
+    """The pair is matched as `rear <- top`; both merge steps have it as a candidate."""
+    recording, path = Recording(recordings["partial"]), f"{PAIR}/merge/evidence"
+    assert len(recording.cells(path, "Scalars:scalars")) == 2
+    for series in ("SeriesLines", "SeriesPoints"):
+        assert [cell for _, cell in recording.cells(path, f"{series}:names")] == [["top <- rear"]]
 
 
 def test_matches_are_recorded_in_their_own_frames(recordings):
@@ -138,6 +154,19 @@ def test_timings_are_those_of_the_result(recordings):
     rows = read_recorded_table(recordings["complete"], "timings").to_pylist()
     assert [row["stage"] for row in rows] == ["fine"]
     assert rows[0]["seconds"] == pytest.approx(0.01, abs=1e-8)
+
+
+def test_times_of_stages_change_no_entity_but_by_time(tmp_path, rerun_rrd):
+    """Stages that took longer than the recording need frames before its start."""
+    paths = tmp_path / "quick.rrd", tmp_path / "slow.rrd"
+    for path, seconds in zip(paths, (1e-9, 500.0), strict=True):
+        with RerunRecording(path) as observe:
+            for event in made_events(until="correspond"):
+                finishes = isinstance(event, events.CalibrationFinished)
+                timed = replace(event.result, timing_s={"ingest": seconds}) if finishes else None
+                observe(event if timed is None else events.CalibrationFinished(timed))
+    verdict = rerun_rrd("compare", "--unordered", *paths)
+    assert verdict.returncode == 0, verdict.stderr
 
 
 @pytest.fixture(scope="module")

@@ -203,6 +203,7 @@ def test_without_verification_the_hypotheses_have_no_evidence():
     assert f"{second} - | - | - |" in table
     state(events.PairRegistered(replace(registered, registrations=())))
     table = hypotheses_markdown(state)
+    first, second = (row.replace(label, pair_label(registered.target, registered.source)) for row in (first, second))
     assert f"{first} 0.800 | 0.060 | accept |" in table
     assert f"{second} - | - | - |" in table
 
