@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilica.ingest.containers import chunked
+from multilica.ingest.containers import unindexed
 from tests.ingest.support.mutations import SEEDS, mutated, read_or_refuse, write_seed
 from tests.selection import seeds
 
@@ -54,7 +54,7 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
 def test_damaged_files_too_large_to_be_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kept_bytes: int
 ) -> None:
-    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", kept_bytes)
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", kept_bytes)
     path = write_seed(name, tmp_path)
     content = path.read_bytes()
     read = 0

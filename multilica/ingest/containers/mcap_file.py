@@ -31,11 +31,9 @@ from multilica.ingest.containers.chunked import (
     EndOfFileError,
     ExactReader,
     PackedChunk,
-    Part,
-    Survey,
-    UnindexedRecording,
     unpack_head,
 )
+from multilica.ingest.containers.unindexed import Part, Survey, UnindexedRecording
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES, require_checksum
 from multilica.ingest.formats import FORMATS, named_format
 from multilica.ingest.recording import (

@@ -19,10 +19,9 @@ from multilica.ingest.containers.chunked import (
     EndOfFileError,
     ExactReader,
     PackedChunk,
-    Part,
-    UnindexedRecording,
     unpack_head,
 )
+from multilica.ingest.containers.unindexed import Part, UnindexedRecording
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.recording import (
     DamagedRecordingError,

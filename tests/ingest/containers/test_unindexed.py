@@ -14,9 +14,10 @@ from mcap.writer import CompressionType
 
 from multilica.config import IngestConfig
 from multilica.ingest import read_snapshot
-from multilica.ingest.containers import chunked, mcap_file, ros1_bag
-from multilica.ingest.containers.chunked import PackedChunk, Part, UnindexedRecording
+from multilica.ingest.containers import mcap_file, ros1_bag, unindexed
+from multilica.ingest.containers.chunked import PackedChunk
 from multilica.ingest.containers.mcap_file import open_unindexed
+from multilica.ingest.containers.unindexed import Part, UnindexedRecording
 from multilica.ingest.recording import DamagedRecordingError, RawMessage
 from multilica.snapshot import Snapshot
 from tests.ingest.support.recording_writers import (
@@ -56,7 +57,7 @@ class Scan:
     [(12 * CHUNK_BYTES, 11), (11 * CHUNK_BYTES, 33), (0, 33)],
 )
 def test_what_is_kept_is_not_unpacked_again(monkeypatch: pytest.MonkeyPatch, limit_bytes: int, unpacked: int) -> None:
-    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", limit_bytes)
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", limit_bytes)
     scan = Scan()
     recording = UnindexedRecording("MCAP without index", "a.mcap", scan)
     assert recording.damage == "the file ends too early"
@@ -85,7 +86,7 @@ def test_a_recording_too_large_to_keep_is_read_the_same(
     whole = open_file(path, "a")
     names = {topic.name for topic in whole.topics}
     expected = all_of(whole.messages(names))
-    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", int(share * sum(len(data) + 256 for *_, data in expected)))
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", int(share * sum(len(data) + 256 for *_, data in expected)))
     part = open_file(path, "a")
     assert (part.topics, part.damage) == (whole.topics, whole.damage)
     assert all_of(part.messages(names)) == expected
@@ -98,7 +99,7 @@ def test_a_recording_too_large_to_keep_is_read_the_same(
 def test_topics_that_were_written_one_after_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept_bytes: int, cut: float, window_s: float
 ) -> None:
-    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", kept_bytes)
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", kept_bytes)
     path = tmp_path / "a.mcap"
     messages = [*raw_messages(make_snapshot(lidars=3, frames=150), ros2_types(), "cdr")]
     write_mcap(Snapshot(()), path, chunked=False, messages=sorted(messages, key=itemgetter(0)))
@@ -133,9 +134,9 @@ def test_the_survey_does_not_unpack_a_large_recording(
     monkeypatch.setattr(PackedChunk, "unpack", lambda *args: unpacked.append(args) or unpack(*args))
     for size in range(len(content) * 3 // 10, len(content), len(content) // 37):
         path.write_bytes(content[:size])
-        monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", 1 << 40)
+        monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 1 << 40)
         read = open_unindexed(path, "a")
-        monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", 0)
+        monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
         unpacked.clear()
         told = open_unindexed(path, "a")
         # The first, for its channels, and one that was cut off.
@@ -157,10 +158,10 @@ def test_what_lies_before_the_window_is_not_unpacked_again(
     else:
         write_mcap(make_snapshot(frames=40, points=200), path, indexed=make == "survey", chunk_size=20_000)
     os.truncate(path, int(0.9 * path.stat().st_size))
-    monkeypatch.setattr(chunked, "_MARK_BYTES", 1)
+    monkeypatch.setattr(unindexed, "_MARK_BYTES", 1)
     open_file = ros1_bag.open_unindexed if make == "bag" else mcap_file.open_unindexed
     whole = open_file(path, "a")
-    monkeypatch.setattr(chunked, "_MAX_KEPT_BYTES", 0)
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
     recording = open_file(path, "a")
     unpacked, unpack = [], PackedChunk.unpack
     monkeypatch.setattr(PackedChunk, "unpack", lambda *args: unpacked.append(args) or unpack(*args))
