@@ -290,13 +290,21 @@ def _check(
 
 
 def _moved_since(check: LidarCheck, knock: Knock | None) -> LidarCheck:
-    """Return the check of a LiDAR by where it is now, if a knock came after the stops that its pose is from."""
-    if knock is None:
+    """Return the check of a LiDAR by where it is now, if a knock came after the stops that its pose is from.
+
+    The direction of a knock is not known: a LiDAR that was off by d and moved by k is off by ``|d - k|`` to d + k.
+    """
+    if knock is None or check.distance_m is None or check.angle_deg is None:
         return check
-    is_small = knock.distance_m <= check.max_translation_m and knock.angle_deg <= check.max_rotation_deg
-    verdict: CheckVerdict = check.verdict
-    if not is_small:
-        verdict = "outside" if check.verdict == "within" else "undecided"
+    now = (
+        (abs(check.distance_m - knock.distance_m), check.distance_m + knock.distance_m, check.max_translation_m),
+        (abs(check.angle_deg - knock.angle_deg), check.angle_deg + knock.angle_deg, check.max_rotation_deg),
+    )
+    verdict: CheckVerdict = "undecided"
+    if any(least > limit for least, _, limit in now):
+        verdict = "outside"
+    elif check.verdict == "within" and all(most <= limit for _, most, limit in now):
+        verdict = "within"
     return check.model_copy(update={"verdict": verdict, "reason": f"{knock.motion}; before: {check.reason}"})
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of views out of those of LiDARs and stops, with their derivatives."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,12 +29,14 @@ class ViewPoses:
         poses: per LiDAR ``T_root_lidar``.
         stops: per linked stop the root in its own frame at the first of these stops.
         free, free_stops: those with a pose to find.
+        groups: the stops that links connect; those of other groups have other frames.
     """
 
     poses: Mapping[str, RigidTransform]
     stops: Mapping[str, RigidTransform]
     free: Sequence[str]
     free_stops: Sequence[str]
+    groups: Sequence[Collection[str]] = ()
 
     @property
     def columns(self) -> int:
@@ -85,7 +87,8 @@ class ViewPoses:
         return max(alike, default=0.0)
 
     def _likeness(self, views: tuple[DriveView, DriveView], others: tuple[DriveView, DriveView]) -> float:
-        if not {view.stop for view in (*views, *others)} <= self.stops.keys():
+        stops = {view.stop for view in (*views, *others)}
+        if not any(stops <= {*group} for group in self.groups):
             return 0.0
         turns = [
             rotation_vector(self.stops[one.stop].rotation.T @ self.stops[other.stop].rotation)

@@ -111,7 +111,7 @@ def refine(
     rings = _rings_of(each.registration for each in used)
     sigmas = _bias_sigmas(rings, config)
     counts = [len(numbers) for numbers in rings.values()]
-    state = _State(ViewPoses(dict(poses), stops, free, free_stops), np.zeros(len(sigmas)), rings)
+    state = _State(ViewPoses(dict(poses), stops, free, free_stops, linked.groups()), np.zeros(len(sigmas)), rings)
     before = [state.views.offset(pair) for pair in used]
     # Linked stops show one place.
     scenes = [

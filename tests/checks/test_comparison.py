@@ -75,8 +75,10 @@ def test_the_lidar_that_moved_is_named(lidar, motion):
     [
         (("stop 4",), 0.2, {}, "outside"),
         (("stop 4",), 0.02, {}, "within"),
-        (("stop 4",), 0.2, {"rear": SHIFT}, "undecided"),
-        (("stop 4",), 0.02, {"rear": SHIFT}, "outside"),
+        (("stop 4",), 0.2, {"rear": SHIFT}, "outside"),
+        (("stop 4",), 0.06, {"rear": SHIFT}, "undecided"),
+        (("stop 4",), 0.01, {"rear": SHIFT}, "outside"),
+        (("stop 4",), 0.02, {"rear": ((0.02, 0.0, 0.0), (0.0, 0.0, 0.0))}, "undecided"),
         (("stop 1", "stop 2", "stop 3"), 0.2, {}, "within"),
         (("stop 1", "stop 2", "stop 3"), 0.2, {"rear": SHIFT}, "outside"),
     ],

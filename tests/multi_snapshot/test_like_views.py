@@ -17,7 +17,7 @@ _WITHIN = "A1-B1 A2-B2 A3-B3 A4-B4"
 
 
 def _likeness(one, other, stops=STRAIGHT):
-    views = ViewPoses(LIDARS, stops, sorted(LIDARS), sorted(stops))
+    views = ViewPoses(LIDARS, stops, sorted(LIDARS), sorted(stops), [sorted(stops)])
     return views.likeness(*(pair(*each.split("-"), stops=stops) for each in (one, other)))
 
 
@@ -47,10 +47,13 @@ def test_a_turn_shows_other_surfaces():
 
 
 def test_stops_that_nothing_links_are_not_alike():
-    linked = {stop: STRAIGHT[stop] for stop in ("stop 1", "stop 2")}
-    views = ViewPoses(LIDARS, linked, sorted(LIDARS), sorted(linked))
+    """Each group of stops has a frame of its own."""
+    groups = [["stop 1", "stop 2"], ["stop 3", "stop 4"]]
+    views = ViewPoses(LIDARS, STRAIGHT, sorted(LIDARS), sorted(STRAIGHT), groups)
     assert views.likeness(pair("A1", "B1"), pair("A2", "B2")) == pytest.approx(1.0)
+    assert views.likeness(pair("A3", "B3"), pair("A4", "B4")) == pytest.approx(1.0)
     assert views.likeness(pair("A1", "B1"), pair("A3", "B3")) == 0.0
+    assert views.likeness(pair("A1", "B1"), pair("A5", "B5", stops=STRAIGHT | {"stop 5": STRAIGHT["stop 1"]})) == 0.0
 
 
 def _with_systematic_errors(found):
@@ -83,7 +86,7 @@ def test_what_stops_repeat_does_not_average_out(stops, links, worth):
 
 
 def test_a_link_repeats_no_pair_within_a_stop():
-    views = ViewPoses(LIDARS, STRAIGHT, sorted(LIDARS), sorted(STRAIGHT))
+    views = ViewPoses(LIDARS, STRAIGHT, sorted(LIDARS), sorted(STRAIGHT), [sorted(STRAIGHT)])
     every = pairs("A1-B1 A2-B2 A1-B2 A2-B3 A1-A2", stops=STRAIGHT)
     assert [_repeated(each, every, views) for each in every] == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.0])
 
