@@ -6,6 +6,7 @@ and numbers. `tomllib`, `json` and `ruamel.yaml` have none of their own, recurse
 """
 
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -40,6 +41,14 @@ _DEEP_FLOW = re.compile(rf"(?:[\[{{]\s*+){{{_MAX_DEPTH + 1}}}")
 
 class DocumentError(ValueError):
     """A document that cannot be used; the text is a clause, as in "it is nested more than 64 levels deep"."""
+
+
+def local_path(given: str | Path) -> Path:
+    """Return the path that a user gives; ``~`` stands for the home folder, and a name may begin with it, as ``./~old``.
+
+    `Path` drops the ``./``, and refuses a user that does not exist.
+    """
+    return Path(os.path.expanduser(given))  # noqa: PTH111
 
 
 def read_limited(path: Path, max_bytes: int) -> bytes:

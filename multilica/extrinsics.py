@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of the LiDARs of a rig, in memory and as a TOML table."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from multilica.documents import (
     MAX_TOML_BYTES,
     DocumentError,
     first_problem,
+    local_path,
     parse_toml,
     read_limited,
     require_length,
@@ -208,7 +208,7 @@ def read_extrinsics_table(path: str | Path, *, with_uncertain: bool = False) -> 
         SourceNotFoundError: no such file.
         UnreadableSourceError: not TOML, or not such a table.
     """
-    path = Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
+    path = local_path(path)
     try:
         values = parse_toml(read_limited(path, MAX_TOML_BYTES))
     except FileNotFoundError as error:

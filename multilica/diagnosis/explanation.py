@@ -125,6 +125,12 @@ _STEPS_WITHOUT_PAIR: Mapping[str, str] = {
 }
 
 
+def in_words(names: Iterable[str]) -> str:
+    """Return one or more names for a sentence."""
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def step_of(cause: str, codes: Sequence[str] | None) -> str:
     """Return the stage at which a LiDAR was left out, with the failure; the codes are None without pairs."""
     if codes is None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of extrinsics in any format, also of saved runs, in the frame and under the names that are asked for."""
 
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from multilica.documents import DocumentError
+from multilica.documents import DocumentError, local_path
 from multilica.errors import (
     InputError,
     MultilicaError,
@@ -73,7 +72,7 @@ def read_extrinsics(path: str | Path, format: str | None = None, *, with_uncerta
         UnreadableSourceError: it is broken, no tree of frames, or not of the format.
         UnknownNameError: there is no such format.
     """
-    path = Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
+    path = local_path(path)
     if format is not None:
         format_named(format)
     if not path.exists():

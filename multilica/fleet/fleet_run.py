@@ -13,12 +13,13 @@ from functools import partial
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
+from multilica.documents import local_path
 from multilica.errors import SourceNotFoundError, listed
 from multilica.fleet.listing import FleetLog, find_logs
 from multilica.fleet.patterns import LogPattern
 from multilica.fleet.plan import Plan, QueuedLog, full_disk_named
 from multilica.fleet.store.records import LogRow
-from multilica.fleet.store.store import Store, local_path
+from multilica.fleet.store.store import Store
 from multilica.fleet.tasks.guard import Calibrate, LogTask, LogTaskLimits, identify_guarded, open_executor, run_guarded
 from multilica.fleet.vehicle_chain import VehicleChain
 from multilica.ingest.remote.address import scheme_of, without_secrets
@@ -132,7 +133,7 @@ def _config_digest(options: FleetOptions) -> str:
 def _task(log: QueuedLog, reference: str, *, store: Store, options: FleetOptions, config_sha256: str) -> LogTask:
     return LogTask(
         **{name: value for name, value in asdict(log).items() if name not in ("finished", "accepted")},
-        store=store.address if scheme_of(store.address) else local_path(store.address),
+        store=store.address if scheme_of(store.address) else str(local_path(store.address).absolute()),
         config=options.config,
         config_sha256=config_sha256,
         tolerances=options.tolerances,

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
+from multilica.documents import local_path
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.manifest import MANIFEST_SUFFIXES, read_manifest
 from multilica.fleet.patterns import LogPattern
@@ -100,8 +101,7 @@ def _found(given: str, longer: Mapping[tuple[str, str], str]) -> Iterator[FleetL
 
 
 def _listed(given: str) -> Iterator[ListedLog]:
-    # A Path would drop the ./ before a name that begins with ~, and refuse a user that does not exist.
-    path = Path(os.path.expanduser(given))  # noqa: PTH111
+    path = local_path(given)
     if path.suffix in MANIFEST_SUFFIXES and path.is_file():
         yield from _in_manifest(path)
     elif path.is_dir():

@@ -12,6 +12,7 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Literal
 
+from multilica.documents import local_path
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError, listed
 from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
 from multilica.ingest.recording import sanitize_text
@@ -114,7 +115,7 @@ def locate(source: PathLike) -> SourceFile:
     require_readable(source)
     if scheme_of(source):
         return RemoteFile(str(source))
-    return Path(os.path.expanduser(source))  # noqa: PTH111 - a Path refuses an unknown user, and drops ./ before ~
+    return local_path(source)
 
 
 def names_of(paths: Sequence[SourceFile]) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
 import multilica
+from multilica.documents import local_path
 from multilica.errors import (
     MultilicaError,
     SourceNotFoundError,
@@ -255,11 +256,6 @@ def _code_of(error: BaseException | None) -> str:
     return ""
 
 
-def local_path(address: str) -> str:
-    """Return the absolute path of a store on this machine; ``~`` stands for the home folder."""
-    return str(Path(os.path.expanduser(address)).absolute())  # noqa: PTH111 - a Path refuses an unknown user
-
-
 def open_store(address: str | Path, *, create: bool) -> Store:
     """Open a store, or lay out a new one.
 
@@ -275,7 +271,7 @@ def open_store(address: str | Path, *, create: bool) -> Store:
     """
     address = str(address)
     if not (scheme := scheme_of(address)):
-        store = Store(address, None, local_path(address))
+        store = Store(address, None, str(local_path(address).absolute()))
     elif scheme in _BUCKETS:
         with needed_for(f"The store {without_secrets(address)}", _BUCKETS[scheme]):
             system, path = open_file_system(address)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Addresses as sources."""
 
-import os
 import re
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
 
+from multilica.documents import local_path
 from multilica.errors import UsageError
 
 _FILES = ("s3", "gs", "https", "http")
@@ -34,7 +34,7 @@ def local_output(path: str | Path, option: str) -> Path:
     address = _DROPPED_SLASH.sub(r"\1://", str(path))
     if scheme_of(address):
         raise UsageError(f"An output is a file on this machine; found {option} {without_secrets(address)}.")
-    return Path(os.path.expanduser(path))  # noqa: PTH111 - a Path refuses an unknown user
+    return local_path(path)
 
 
 def is_live(source: object) -> bool:
