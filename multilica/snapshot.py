@@ -99,6 +99,15 @@ class LidarScans:
         """Number of returns over all frames."""
         return sum(len(scan.points_m) for scan in self.scans)
 
+    def returns_at(self, rows: npt.NDArray[np.int64]) -> Float32Array:
+        """Return some of the returns (K, 3) by their numbers (K,) over all frames, which ascend."""
+        found, first = [np.empty((0, 3), dtype=np.float32)], 0
+        for scan in self.scans:
+            begin, end = np.searchsorted(rows, (first, first + len(scan.points_m)))
+            found.append(scan.points_m[rows[begin:end] - first])
+            first += len(scan.points_m)
+        return np.concatenate(found)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarMotion:

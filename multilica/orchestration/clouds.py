@@ -62,8 +62,9 @@ def require_two_lidars(snapshot: Snapshot) -> None:
 def without_blind_target(snapshot: Snapshot, config: CalibrationConfig) -> CalibrationConfig:
     """Leave the target of one stop of several open if the LiDAR that the user asks for is absent or sees nothing."""
     if config.target in snapshot.names:
-        range_m = lengths(snapshot[config.target].points_m)
-        if np.any((range_m >= config.preprocess.min_range_m) & (range_m <= config.preprocess.max_range_m)):
+        nearest_m, farthest_m = config.preprocess.min_range_m, config.preprocess.max_range_m
+        ranges_m = (lengths(scan.points_m) for scan in snapshot[config.target].scans)
+        if any(np.any((range_m >= nearest_m) & (range_m <= farthest_m)) for range_m in ranges_m):
             return config
     return config.model_copy(update={"target": ""})
 

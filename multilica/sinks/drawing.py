@@ -12,6 +12,7 @@ from multilica.geometry import Z_AXIS, Float32Array, FloatArray, RigidTransform,
 from multilica.results import BoolArray, Correspondences, Hypothesis, PairKey
 from multilica.results.document import ResultDocument
 from multilica.sinks.run_state import RunState
+from multilica.snapshot import LidarScans
 
 Rgb = tuple[int, int, int]
 
@@ -82,7 +83,11 @@ def sample_indices(count: int, limit: int) -> npt.NDArray[np.int64]:
 
 def every_nth(points_m: npt.NDArray[np.floating], enough: int) -> npt.NDArray[np.floating]:
     """Return at least `enough` of the points (N, 3), evenly spaced in order, as a view."""
-    return points_m[:: max(1, len(points_m) // enough)]
+    return points_m[:: _step(len(points_m), enough)]
+
+
+def _step(count: int, enough: int) -> int:
+    return max(1, count // enough)
 
 
 def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Array:
@@ -91,13 +96,20 @@ def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Arra
     return np.asarray(shown_m, dtype=np.float32)
 
 
+def sample_returns(lidar: LidarScans, limit: int) -> Float32Array:
+    """Return at most `limit` of a LiDAR's returns (N, 3) over all frames."""
+    return lidar.returns_at(sample_indices(lidar.points_count, limit))
+
+
 def slot_offsets_m(state: RunState) -> dict[str, float]:
     """Return cached offsets along y at which the dense parts of the raw clouds do not overlap."""
     if state.snapshot is None or state.slots_m:
         return state.slots_m
     edge_m = 0.0
     for lidar in state.snapshot.lidars:
-        radius_m = shown_radius_m(lidar.points_m.astype(np.float32))
+        radius_m = shown_radius_m(
+            lidar.returns_at(np.arange(0, lidar.points_count, _step(lidar.points_count, _RADIUS_SAMPLE)))
+        )
         state.slots_m[lidar.name] = edge_m - radius_m
         edge_m -= 2.0 * radius_m
     return state.slots_m

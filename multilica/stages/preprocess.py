@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cleaning of a LiDAR's accumulated returns, and removal of points that move between its frames."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,7 @@ import scipy
 from scipy.spatial import cKDTree
 
 from multilica.config import PreprocessConfig, StillnessConfig
-from multilica.geometry import Z_AXIS, FloatArray, lengths, read_only, turn_upwards
+from multilica.geometry import Z_AXIS, Float32Array, FloatArray, lengths, read_only, turn_upwards
 from multilica.registration.neighbours import thin
 from multilica.results import BoolArray, IndexArray, PreprocessedCloud
 from multilica.snapshot import LidarScans, Scan
@@ -47,25 +47,29 @@ def preprocess(
     Returns:
         The kept points in the LiDAR's own frame, with the dropped ones by reason.
     """
-    moving = np.empty((0, 3))
+    scans, moving = lidar.scans, np.empty((0, 3))
     largest = max((scan.points_m for scan in lidar.scans), key=len, default=np.empty((0, 3)))
     elevation_axis = find_elevation_axis(largest.astype(np.float64))
     if stillness is not None and stillness.enabled:
-        scans, moving = drop_moving(lidar.scans, stillness, elevation_axis)
-        lidar = replace(lidar, scans=scans)
-    points_m = lidar.points_m
-    range_m = lengths(points_m)
-    too_near = range_m < config.min_range_m
-    too_far = np.isfinite(range_m) & (range_m > config.max_range_m)
-    dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far], "moving": moving}
-    kept = points_m[np.isfinite(range_m) & ~too_near & ~too_far]
+        scans, moving = drop_moving(scans, stillness, elevation_axis)
+    returns_m, too_near_m, too_far_m = map(np.concatenate, zip(*_by_range(scans, config), strict=True))
+    dropped = {"too_near": too_near_m, "too_far": too_far_m, "moving": moving}
     return PreprocessedCloud(
         lidar=lidar.name,
-        returns_m=read_only(kept, np.float32),
-        points_m=read_only(thin(kept, config.voxel_size_m), np.float64),
-        dropped_m={reason: points for reason, points in dropped.items() if len(points)},
+        returns_m=read_only(returns_m, np.float32),
+        points_m=read_only(thin(returns_m.astype(np.float64), config.voxel_size_m), np.float64),
+        dropped_m={reason: points.astype(np.float64) for reason, points in dropped.items() if len(points)},
         elevation_axis=elevation_axis,
     )
+
+
+def _by_range(scans: Sequence[Scan], config: PreprocessConfig) -> Iterator[tuple[Float32Array, ...]]:
+    """Return the points (N, 3) of each frame, after an empty one, that are within the range, too near and too far."""
+    for points_m in (np.empty((0, 3), dtype=np.float32), *(scan.points_m for scan in scans)):
+        range_m = lengths(points_m)
+        too_near = range_m < config.min_range_m
+        too_far = np.isfinite(range_m) & (range_m > config.max_range_m)
+        yield points_m[np.isfinite(range_m) & ~too_near & ~too_far], points_m[too_near], points_m[too_far]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

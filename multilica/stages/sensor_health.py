@@ -29,18 +29,23 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
     Args:
         near_m: the calibration ignores nearer returns.
     """
-    points_m = lidar.points_m
-    range_m = lengths(points_m)
-    returned = np.isfinite(range_m) & (range_m > 0.0)
-    if not np.all(returned):
-        points_m, range_m = points_m[returned], range_m[returned]
-    if len(points_m) == 0:
+    seen, through = np.zeros((2, _ROWS * _COLUMNS), dtype=np.bool_)
+    near_echoes, returns = [(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.int64))], 0
+    for scan in lidar.scans:
+        points_m = scan.points_m.astype(np.float64)
+        range_m = lengths(points_m)
+        returned = np.isfinite(range_m) & (range_m > 0.0)
+        if not np.all(returned):
+            points_m, range_m = points_m[returned], range_m[returned]
+        near, cells = range_m < near_m, _cells(points_m, range_m)
+        seen[cells] = True
+        through[cells[~near]] = True
+        near_echoes.append((points_m[near] / range_m[near, None], range_m[near], cells[near]))
+        returns += len(points_m)
+    if returns == 0:
         return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, "it has no returns"),))
-    near = range_m < near_m
-    cells = _cells(points_m, range_m)
-    seen = np.bincount(cells, minlength=_ROWS * _COLUMNS) > 0
-    through = np.bincount(cells[~near], minlength=_ROWS * _COLUMNS) > 0
-    blocked = _blocks(_off_surfaces(points_m[near] / range_m[near, None], range_m[near], cells[near]) & ~through)
+    directions, near_range_m, near_cells = (np.concatenate(each) for each in zip(*near_echoes, strict=True))
+    blocked = _blocks(_off_surfaces(directions, near_range_m, near_cells) & ~through)
     blockage_ratio = float(_solid_angle(blocked & seen) / _solid_angle(seen))
     limit = config.max_blockage_ratio
     text = (
@@ -48,7 +53,7 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
         f"the window (limit {limit:.0%})"
     )
     reasons = (Reason("dirty", blockage_ratio, limit, text),) if blockage_ratio > limit else ()
-    return SensorHealth(lidar.name, len(points_m), float(np.mean(near)), blockage_ratio, reasons)
+    return SensorHealth(lidar.name, returns, len(near_cells) / returns, blockage_ratio, reasons)
 
 
 def _cells(points_m: FloatArray, range_m: FloatArray) -> IndexArray:

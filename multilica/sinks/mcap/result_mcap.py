@@ -252,8 +252,11 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         state, frames = self._state, _cloud_frames(document)
         messages.write(self._encoding.transforms(_static_poses(document, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
-            points_m = state.clouds[lidar.name].points_m if lidar.name in state.clouds else lidar.points_m
-            shown_m = drawing.sample_points(points_m, _MAX_CLOUD_POINTS)
+            shown_m = (
+                drawing.sample_points(state.clouds[lidar.name].points_m, _MAX_CLOUD_POINTS)
+                if lidar.name in state.clouds
+                else drawing.sample_returns(lidar, _MAX_CLOUD_POINTS)
+            )
             cloud = self._encoding.cloud(lidar.name, frames[lidar.name], shown_m, stamp_ns)
             self._cloud_topics[lidar.name] = cloud.topic
             messages.write(cloud, stamp_ns)

@@ -11,7 +11,7 @@ from multilica.diagnosis import Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME, PairKey, PairRegistration, Registration
 from multilica.results.document import PairEntry, ResultDocument
-from multilica.sinks.drawing import Rgb, distinct_colours, sample_points
+from multilica.sinks.drawing import Rgb, distinct_colours, sample_returns
 from multilica.sinks.run_state import RunState
 
 SAME_POSE = 1e-4
@@ -117,7 +117,7 @@ def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
         clouds={
             lidar.name: state.clouds[lidar.name].points_m
             if lidar.name in state.clouds
-            else sample_points(lidar.points_m, _RAW_SAMPLE).astype(np.float64)
+            else sample_returns(lidar, _RAW_SAMPLE).astype(np.float64)
             for lidar in lidars
         },
         scored={(pair.target, pair.source): _scored(state, pair) for pair in state.registrations.values()},

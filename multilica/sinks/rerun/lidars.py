@@ -68,9 +68,9 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
         place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))
         scene.stream.log(lidar_path(lidar.name, "slot"), rigid(frame, DISPLAY_FRAME, place), static=True)
         _log_sensor(scene, lidar.name, event.snapshot.names.index(lidar.name))
-        points_m, limit = lidar.points_m, scene.limits.raw_points
-        if len(points_m) > limit:
-            scene.log_line(LogLine("INFO", f"{lidar.name}: {limit:,} of {len(points_m):,} raw points are recorded"))
+        count, limit = lidar.points_count, scene.limits.raw_points
+        if count > limit:
+            scene.log_line(LogLine("INFO", f"{lidar.name}: {limit:,} of {count:,} raw points are recorded"))
         _log_raw(scene, lidar, limit)
 
 
@@ -83,7 +83,7 @@ def log_refused(scene: RerunScene) -> None:
 
 def _log_raw(scene: RerunScene, lidar: LidarScans, limit: int) -> None:
     path, frame = lidar_path(lidar.name, "raw"), lidar_frame(lidar.name)
-    scene.log_points(path, frame, lidar.points_m, scene.colour(lidar.name), limit)
+    scene.log_points(path, frame, drawing.sample_returns(lidar, limit), scene.colour(lidar.name), limit)
 
 
 def _name_pole_m(index: int, *, top: bool = False) -> Float32Array:
