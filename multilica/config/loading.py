@@ -122,6 +122,11 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
             raise ConfigError(
                 f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
             )
+        if keys == ["preset"]:
+            raise ConfigError(
+                f"The setting '{override}' changes the name of the preset, not its values; choose one with --preset, "
+                "in Python with preset()."
+            )
         table: Any = _toml_value(key, text.strip())
         for part in reversed(keys):
             table = {part: table}

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The configuration and its sections, in the order of the stages."""
 
+import math
 from datetime import datetime
 from typing import Annotated, Literal, get_args
 
@@ -189,7 +190,9 @@ class FineConfig(Section):
     max_iterations: Count = Field(30, description="largest number of iterations of each run")
     rotation_epsilon_rad: Positive = Field(1e-4, description="converged when a step turns by less (small_gicp)")
     translation_epsilon_m: PositiveMetres = Field(1e-4, description="converged when a step moves by less (small_gicp)")
-    neighbours: Count = Field(20, description="points from which a covariance or a normal is estimated")
+    neighbours: Annotated[int, Strict(), Field(ge=3)] = Field(
+        20, description="points from which a covariance or a normal is estimated"
+    )
     fitness_distance_m: PositiveMetres = Field(
         0.25, description="a point nearer than this to the other cloud is an inlier of fitness and RMSE"
     )
@@ -258,6 +261,12 @@ class RefineConfig(Section):
     glancing_bias_sigma_m: PositiveMetres = Field(
         0.005, description="error of ranges on surfaces that beams graze, against those head-on, one standard deviation"
     )
+
+    def bias_sigmas(self, lidar: str) -> tuple[float, float, float, float]:
+        """Return those of a LiDAR's biases: in range (m), elevation (rad), scale, and range on grazed surfaces (m)."""
+        range_m = self.range_bias_sigmas_m.get(lidar, self.range_bias_sigma_m)
+        elevation_rad = math.radians(self.elevation_bias_sigma_deg)
+        return range_m, elevation_rad, self.range_scale_sigma, self.glancing_bias_sigma_m
 
 
 class JointConfig(Section):

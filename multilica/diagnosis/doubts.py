@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Doubts about a result that do not belong to one LiDAR without a pose."""
 
+import math
 from collections.abc import Iterator
 
 from multilica.diagnosis.explanation import in_words
 from multilica.results.document import ResultDocument
+from multilica.results.values import LEAST_IMPLAUSIBLE
+
+_BIASES = ("its ranges", "its elevation angles", "the scale of its ranges", "its ranges on grazed surfaces")
 
 
 def warnings_of(document: ResultDocument) -> Iterator[str]:
-    """Yield a sentence per doubt: knocks, no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
+    """Yield a sentence per doubt: knocks, no ground, unchecked placements, odd sensors, priors far off, odd pairs."""
     yield from (
         f"{knock.text}. Check how {' or '.join((knock.lidar, *knock.rivals))} is fastened, then calibrate again."
         for knock in document.knocks
@@ -28,6 +32,7 @@ def warnings_of(document: ResultDocument) -> Iterator[str]:
     for entry in document.lidars.values():
         if entry.prior is not None and entry.prior.surprise:
             yield entry.prior.surprise
+    yield from _bias_warnings(document)
     held = [name for name, entry in document.lidars.items() if entry.held_by_movable]
     if held:
         yield (
@@ -40,6 +45,21 @@ def warnings_of(document: ResultDocument) -> Iterator[str]:
                 f"the pair {pair.source} against {pair.target} contradicts the others by "
                 f"{pair.apart_m or 0.0:.3f} m, {pair.apart_deg or 0.0:.2f} deg, which happens to a correct pair with a "
                 f"probability of {pair.probability:.1g}. One of the two LiDARs may be misplaced."
+            )
+
+
+def _bias_warnings(document: ResultDocument) -> Iterator[str]:
+    """Yield a sentence per LiDAR whose systematic errors are larger than its datasheet allows."""
+    for bias in document.refinement.biases if document.refinement is not None else ():
+        errors = bias.range_m, math.radians(bias.elevation_deg), 1e-6 * bias.range_scale_ppm, bias.glancing_m
+        allowed = document.config.refine.bias_sigmas(bias.lidar)
+        shares = [abs(error) / sigma for error, sigma in zip(errors, allowed, strict=True)]
+        largest = max(shares)
+        if largest > LEAST_IMPLAUSIBLE:
+            yield (
+                f"{bias.lidar} seems to have an error in {_BIASES[shares.index(largest)]} of {largest:.0f} times its "
+                "usual size (refine in config.toml), and sigma is larger for that. Check the units and the calibration "
+                "that its driver uses."
             )
 
 

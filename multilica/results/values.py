@@ -30,6 +30,8 @@ OPEN_POSE = "the scene leaves its pose open in one direction"
 
 COVERED = "sigma covers that"
 """A contradiction follows these words in the reason of a LiDAR whose covariance is wider for it."""
+LEAST_IMPLAUSIBLE = 4.0
+"""A bias of a LiDAR beyond so many of its standard deviations is none that its datasheet allows."""
 
 ONLY_GROUND = "only the ground tells its height"
 ONLY_MOTION = "only its motion between the stops and the ground tell its pose"

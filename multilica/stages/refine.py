@@ -13,6 +13,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     RING_BIAS_COUNT,
+    distrust,
     posterior,
     posterior_step,
     prior_sigmas,
@@ -135,9 +136,10 @@ def refine(
     )
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
+    factors = {name: max(state.distrust(root, sigmas), state.distrust(name, sigmas)) for name in free}
     return RefinedRig(
         state.views.poses,
-        {name: told.covariance[block, block] for name, block in blocks.items()},
+        {name: factors[name] ** 2 * told.covariance[block, block] for name, block in blocks.items()},
         {name: told.repeatability[block, block] for name, block in blocks.items()},
         Refinement.of(residuals[: len(used_within)], _sensor_biases(state, told.bias_sigmas)),
         state.views.stops,
@@ -162,6 +164,14 @@ class _State:
     def moved(self, step: FloatArray) -> "_State":
         of_poses = self.views.columns
         return replace(self, views=self.views.moved(step[:of_poses]), biases=self.biases + step[of_poses:])
+
+    def distrust(self, lidar: str, sigmas: FloatArray) -> float:
+        """Return `distrust` of a LiDAR, from the standard deviations of all biases; 1 if none of its are estimated."""
+        if lidar not in self.rings:
+            return 1.0
+        first = BIAS_COUNT * [*self.rings].index(lidar)
+        own = slice(first, first + BIAS_COUNT)
+        return distrust(self.biases[own], sigmas[own])
 
     def bias_columns(self, pair: PairRegistration) -> IndexArray:
         """Return which of the biases are those of the pair."""

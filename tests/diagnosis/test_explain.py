@@ -200,6 +200,29 @@ def test_a_lidar_mounted_against_its_prior_is_a_warning():
     assert explain(document).warnings == (sentence,)
 
 
+_BIAS_FIELDS = (
+    *("range_m", "range_sigma_m", "elevation_deg", "elevation_sigma_deg"),
+    *("range_scale_ppm", "range_scale_sigma_ppm", "glancing_m", "glancing_sigma_m"),
+)
+
+
+@pytest.mark.parametrize(("range_m", "told"), [(0.039, False), (-0.052, True)])
+def test_a_lidar_with_an_implausible_bias_is_a_warning(range_m, told):
+    document = made_document("complete")
+    none = {"m": 0.0, "deg": 0.0}
+    document["refinement"] = {
+        "cycle_error_before": none,
+        "cycle_error_after": none,
+        "pairs": [],
+        "biases": [dict.fromkeys(_BIAS_FIELDS, 0.0) | {"lidar": "rear", "range_m": range_m}],
+    }
+    warnings = explain(document).warnings
+    expected = (
+        "rear seems to have an error in its ranges of 5 times its usual size (refine in config.toml), and sigma is"
+    )
+    assert [each.startswith(expected) for each in warnings] == [True] * told
+
+
 def test_a_pair_that_contradicts_the_others_is_a_warning():
     document = made_document("complete")
     errors = {"before_m": 0.4, "before_deg": 1.2, "after_m": 0.1, "after_deg": 0.3, "apart_m": 0.5, "apart_deg": 1.5}

@@ -175,6 +175,20 @@ def test_a_setting_without_effect_is_refused(setting, chooser):
         with_overrides(preset("paper"), [setting])
 
 
+def test_a_setting_cannot_choose_a_preset():
+    told = (
+        r"^The setting 'preset=paper' changes the name of the preset, not its values; choose one with --preset, in Pyt"
+    )
+    with pytest.raises(ConfigError, match=told):
+        with_overrides(CalibrationConfig(), ["preset=paper"])
+
+
+def test_two_points_have_no_normal():
+    assert with_overrides(CalibrationConfig(), ["fine.neighbours=3"]).fine.neighbours == 3
+    with pytest.raises(ConfigError, match=r"fine\.neighbours"):
+        with_overrides(CalibrationConfig(), ["fine.neighbours=2"])
+
+
 @pytest.mark.parametrize(
     "settings",
     [

@@ -8,6 +8,7 @@ from multilica.geometry import Z_AXIS
 from multilica.registration import sensor_biases
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
+    distrust,
     posterior,
     prior_sigmas,
     ring_numbers,
@@ -85,6 +86,13 @@ def test_priors_are_those_of_the_configuration():
     config = RefineConfig(range_bias_sigma_m=0.04, range_bias_sigmas_m={"left": 0.03}, **others)
     assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), 5e-4, 0.007])
     assert prior_sigmas("right", config)[0] == 0.04
+
+
+@pytest.mark.parametrize(("sigmas", "factor"), [(0.0, 1.0), (3.9, 1.0), (-5.0, 2.5), (10.0, 5.0)])
+@pytest.mark.parametrize("bias", range(4))
+def test_implausible_biases_are_distrusted(bias, sigmas, factor):
+    allowed = prior_sigmas("", RefineConfig())
+    assert distrust(sigmas * allowed * np.eye(4)[bias], allowed) == pytest.approx(factor)
 
 
 def _problem(rng, biases_of_data, poses=1, strength=1.0):

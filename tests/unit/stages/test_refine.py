@@ -229,6 +229,17 @@ def test_the_biases_of_a_loop_are_found():
         assert 1.0 < bias.range_scale_sigma_ppm < 1.1e6 * _CONFIG.range_scale_sigma
 
 
+@pytest.mark.parametrize(("lidar", "wider"), [("A", "A"), ("T", "AB")])
+def test_an_implausible_bias_widens_the_covariance(lidar, wider):
+    usual = _refined(_loop(1)).covariances
+    rig = _refined(_loop(1, biases=_BIASES | {lidar: [0.1, 0.0, 0.0, 0.0]}))
+    largest = max(abs(bias.range_m) for bias in rig.refinement.biases if bias.lidar == lidar)
+    for name in "AB":
+        factor = 0.5 * largest / _CONFIG.range_bias_sigma_m if name in wider else 1.0
+        growth = np.sqrt(np.trace(rig.covariances[name][3:, 3:]) / np.trace(usual[name][3:, 3:]))
+        assert growth == pytest.approx(factor, rel=0.3)
+
+
 def test_the_prior_of_a_lidar_is_its_own():
     config = RefineConfig(range_bias_sigmas_m={"A": 1e-6})
     biases = {bias.lidar: bias for bias in _refined(_loop(1), config).refinement.biases}
