@@ -111,6 +111,7 @@ _REASONS: Mapping[str, tuple[str, str]] = {
     "held_by_movable": ("held_by_movable", "held by objects that can move"),
     "too_far_apart": ("unexplained", "LiDARs too far apart"),
     "imprecise": ("uncertain", "sigma above the limit"),
+    "out_of_time": ("out_of_time", "the time was over"),
     "low_fitness": ("low_fitness", "low fitness"),
 }
 """Cause and short label per reason code; the first of these codes in a verdict names the cause."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs that alone, or with few others, join two groups, tested with all that these groups see."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from math import log
@@ -35,7 +35,8 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     may be anywhere along it, they need a part of that.
 
     A pair decides by what two LiDARs see, and their groups see more: a lone pair is also tested at the other poses that
-    searches between its groups found, and at those that both groups and a third LiDAR imply.
+    searches between its groups found, and at those that both groups and a third LiDAR imply. If the time is over, it is
+    in doubt until each LiDAR was compared with one of theirs.
 
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
@@ -107,7 +108,8 @@ def _doubtful_joints(
         others = [each for each in tree if each is not pair]
         members, of_source = connected(pair.target, others), connected(pair.source, others)
         across = [each for each in searched if each.lidars & members and each.lidars & of_source]
-        doubt = _little_evidence(pair, across, repeats, state.config.acceptance)
+        doubt = _not_compared(state, across, members | of_source)
+        doubt = doubt or _little_evidence(pair, across, repeats, state.config.acceptance)
         if not doubt and (len(across) == 1 or _search_repeats(state, members, of_source)):
             key = pair.target, pair.source
             if key not in settled:
@@ -115,6 +117,27 @@ def _doubtful_joints(
             doubt = settled[key]
         if doubt:
             yield (across, members, of_source), doubt
+
+
+def _not_compared(
+    state: CalibrationState, across: Sequence[PairRegistration], joined: Collection[str]
+) -> tuple[Reason, ...]:
+    """Return why a lone pair is in doubt that a LiDAR could contradict which there was no time to search; else nothing.
+
+    In a symmetric hall, a turned pair is refused only when a third LiDAR was searched that sees more of it.
+    """
+    if len(across) > 1 or not state.cut_short:
+        return ()
+    compared = {name for pair in (*state.coarse, *state.registrations) if {*pair} & {*joined} for name in pair}
+    missed = sorted({*state.clouds} - compared)
+    if not missed:
+        return ()
+    pair = across[0]
+    text = (
+        f"the time limit (--max-time) ended the search before {' and '.join(missed)} could contradict {pair.source} "
+        f"against {pair.target}, which alone joins their groups"
+    )
+    return (Reason("out_of_time", len(missed), 0.0, text),)
 
 
 def _search_repeats(state: CalibrationState, members: set[str], others: set[str]) -> bool:

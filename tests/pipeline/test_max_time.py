@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A calibration whose time is over ends with what it has."""
 
+from dataclasses import replace
+
 import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
@@ -39,21 +41,23 @@ def test_what_is_not_reached_is_told(monkeypatch):
     assert "left - right, left - top, right - top" in explanation.warnings[0]
 
 
-def test_what_was_reached_is_placed(monkeypatch):
-    searched = []
+@pytest.mark.parametrize("compared", [False, True])
+def test_a_lone_pair_counts_if_the_third_was_compared(monkeypatch, compared):
+    def some_only(lidars, request):
+        if request.pair == ("left", "top"):
+            return search_pair(lidars, request)
+        if compared and request.pair == ("right", "top"):
+            return replace(search_pair(lidars, request), verified=(), registration=None)
+        return None
 
-    def first_only(lidars, request):
-        searched.append(request.pair)
-        return search_pair(lidars, request) if len(searched) == 1 else None
-
-    monkeypatch.setattr(search, "search_pair", first_only)
+    monkeypatch.setattr(search, "search_pair", some_only)
     result, _ = watched(sides().snapshot, base=CONFIG)
-    placed = [place.lidar for place in result.placements if place.placed]
-    missing = {"left", "right", "top"} - {*placed}
-    assert result.status == "partial"
-    assert len(placed) == 2
-    assert {name for pair in result.time_limit.not_reached for name in pair} >= missing
-    assert all(result[name].T_target_source is None for name in missing)
+    assert result["left"].placed is compared
+    assert result["right"].T_target_source is None
+    assert {name for pair in result.time_limit.not_reached for name in pair} >= {"left", "right"}
+    if not compared:
+        document = result_document(result, CONFIG, provenance_of(sides().snapshot))
+        assert [missing.cause for missing in explain(document).missing] == ["out_of_time"] * 2
 
 
 @pytest.mark.in_turn

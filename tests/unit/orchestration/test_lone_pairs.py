@@ -25,7 +25,7 @@ def _searched(target, source, other=True):
     return replace(made, registrations=(*made.registrations, *further))
 
 
-def _state(pairs, searched=(), rough=(), implied_by=None):
+def _state(pairs, searched=(), rough=(), implied_by=None, coarse=(), cut_short=False):
     """Results of the stages; `rough` poses score as well as the best, others have no evidence."""
 
     def score(at):
@@ -37,6 +37,8 @@ def _state(pairs, searched=(), rough=(), implied_by=None):
         verified={(pair.target, pair.source): pair.registrations for pair in searched},
         config=CalibrationConfig(),
         clouds=dict.fromkeys("abcd"),
+        coarse=dict.fromkeys(coarse),
+        cut_short=cut_short,
         implied_by=implied_by or {},
         score_rough_pose=score,
         side_of=lambda _, poses: {*poses},
@@ -70,6 +72,23 @@ def doubt(monkeypatch):
 
 
 _GROUP = [linked("a", "b"), linked("b", "c"), linked("a", "c")]
+
+
+@pytest.mark.parametrize(
+    ("coarse", "undecided"),
+    [
+        ((("a", "b"), ("c", "d")), {"ab"}),
+        ((("a", "b"), ("b", "c")), {"ab"}),
+        ((("a", "b"), ("b", "c"), ("a", "d")), set()),
+    ],
+)
+def test_a_lone_pair_counts_when_all_were_compared(doubt, coarse, undecided):
+    assert doubt(linked("a", "b"), coarse=coarse, cut_short=True) == (undecided, [])
+    assert doubt(linked("a", "b"), coarse=coarse, cut_short=False) == (set(), [])
+
+
+def test_pairs_that_confirm_each_other_need_no_time(doubt):
+    assert doubt(*_GROUP, coarse=[("a", "b")], cut_short=True) == (set(), [])
 
 
 def test_a_lone_pair_goes_with_those_that_repeat_it(doubt):
