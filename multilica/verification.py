@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test of known extrinsics against a snapshot, without a search."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
 
 from threadpoolctl import threadpool_limits
 
@@ -12,10 +15,12 @@ from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.orchestration import clouds
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.pairs import register_sides, score_implied
 from multilica.orchestration.state import CalibrationState, deadline_of
+from multilica.registration.poses import is_distinct
 from multilica.results import (
     CalibrationResult,
     Hypothesis,
@@ -78,44 +83,116 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
             f"{state.snapshot.source or 'The snapshot'} has no returns in range of the LiDARs with known poses "
             f"({', '.join(sorted({*state.snapshot.names} & known.members))}); check that these LiDARs measure."
         )
-    poses = {pair: known.between(*pair) for pair in state.pairs if {*pair} <= {*names}}
-    scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
-    found, accepted = list[PairRegistration](), list[PairRegistration]()
-    ordered = _by_common_points(scores)
-    attempts = [(config, pair) for config in (state.config, _trusting(state.config)) for pair in ordered]
-    for number, (config, pair) in enumerate(attempts):
-        graph = PairGraph.of(names, accepted)
-        if graph.implied(*pair) is not None:
-            continue
-        if state.out_of_time:
-            left = {other for _, other in attempts[number:] if graph.implied(*other) is None}
-            state.cut_short, state.not_reached = True, tuple(sorted(left))
-            break
-        target, source = (state.lidars[name].side for name in pair)
-        found.append(register_sides(target, source, [Hypothesis(poses[pair])], config, is_known=True))
-        if found[-1].verdict.outcome in ("accept", "uncertain") and found[-1].information is not None:
-            accepted.append(found[-1])
-    graph = PairGraph.of(names, accepted)
-    root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
-    rig = refine(root, graph.poses(root), accepted, state.config.refine)
+    linking = _Linking(state, known, names)
+    scores = _scores(state, {pair: known.between(*pair) for pair in state.pairs if {*pair} <= {*names}})
+    linking.link_from_known(scores)
+    linking.link_beside_moved(list(scores))
+    root, poses = linking.linked
+    rig = refine(root, poses, linking.accepted, state.config.refine)
     covariances = state.slow_motion.added_to(rig.covariances, root)
     offsets = {name: rig.poses[name].offset_from(known.between(root, name)) for name in covariances}
     if offsets and are_contradicted(offsets, covariances):
         # It may have been a car that moved.
         state.target = root
-        rig = doubt_movable(state, rig, accepted)
+        rig = doubt_movable(state, rig, linking.accepted)
         covariances = state.slow_motion.added_to(rig.covariances, root)
     limits = state.config.acceptance
 
     def placement(name: str) -> LidarPlacement:
         if name in rig.poses:
             return place(rig.poses[name], covariances.get(name), limits, held=state.held.get(name))
-        return unplaced_near_known(name, rig.poses, scores, found, limits, state.not_reached)
+        beside = {}
+        if name in names:
+            beside = {pair: start for pair in scores if (start := _beside(pair, name, root, rig.poses, known))}
+        found = linking.found
+        return unplaced_near_known(name, rig.poses, _scores(state, beside), found, limits, state.not_reached)
 
     placements = tuple(map(placement, state.snapshot.names))
     return CalibrationResult(
-        root, "most LiDARs are linked to it", placements, pairs=tuple(found), time_limit=state.time_limit
+        root, "most LiDARs are linked to it", placements, pairs=tuple(linking.found), time_limit=state.time_limit
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linking:
+    """The registrations so far.
+
+    Args:
+        names: of the LiDARs with a known pose.
+        accepted: those of `found` that count.
+    """
+
+    state: CalibrationState
+    known: Extrinsics
+    names: Sequence[str]
+    found: list[PairRegistration] = field(default_factory=list)
+    accepted: list[PairRegistration] = field(default_factory=list)
+
+    @property
+    def linked(self) -> tuple[str, Mapping[str, RigidTransform]]:
+        """The LiDAR that most others are linked to, with their poses relative to it."""
+        graph = PairGraph.of(self.names, self.accepted)
+        counts = Counter(name for pair in self.accepted for name in pair.lidars)
+        root = max(self.names, key=lambda name: (len(graph.poses(name)), counts[name]))
+        return root, graph.poses(root)
+
+    def link_from_known(self, scores: Mapping[PairKey, Registration]) -> None:
+        """Register pairs from their known poses until all LiDARs are linked, or the time is over."""
+        attempts = [(config, pair) for config in self._configs for pair in _by_common_points(scores)]
+        for number, (config, pair) in enumerate(attempts):
+            graph = PairGraph.of(self.names, self.accepted)
+            if graph.implied(*pair) is not None:
+                continue
+            if self.state.out_of_time:
+                left = {other for _, other in attempts[number:] if graph.implied(*other) is None}
+                self.state.cut_short, self.state.not_reached = True, tuple(sorted(left))
+                break
+            self._register(self.known.between(*pair), config)
+
+    def link_beside_moved(self, pairs: Sequence[PairKey]) -> None:
+        """Register LiDARs that are not linked from where they should be beside those that moved."""
+        for config, pair in product(self._configs, pairs):
+            root, poses = self.linked
+            if len(poses) == len(self.names):
+                return
+            for name in {*pair} - {*poses}:
+                start = _beside(pair, name, root, poses, self.known)
+                if start is not None and is_distinct(start, [self.known.between(start.target, name)]):
+                    scores = _scores(self.state, {pair: start})
+                    if _by_common_points(scores) and not self.state.out_of_time:
+                        self._register(start, config)
+
+    @property
+    def _configs(self) -> tuple[CalibrationConfig, CalibrationConfig]:
+        return self.state.config, _trusting(self.state.config)
+
+    def _register(self, start: RigidTransform, config: CalibrationConfig) -> None:
+        target, source = (self.state.lidars[name].side for name in (start.target, start.source))
+        pair = register_sides(target, source, [Hypothesis(start)], config, is_known=True)
+        self.found.append(pair)
+        if pair.verdict.outcome in ("accept", "uncertain") and pair.information is not None:
+            self.accepted.append(pair)
+
+
+def _beside(
+    pair: PairKey, name: str, root: str, poses: Mapping[str, RigidTransform], known: Extrinsics
+) -> RigidTransform | None:
+    """Return the known pose of a LiDAR of a pair relative to where the other one is now.
+
+    Args:
+        poses: ``T_root_lidar`` of the linked LiDARs.
+
+    Returns:
+        None if the pair does not have the LiDAR, or the other one has no pose.
+    """
+    if name not in pair:
+        return None
+    (other,) = {*pair} - {name}
+    return poses[other].inverse() @ known.between(root, name) if other in poses else None
+
+
+def _scores(state: CalibrationState, poses: Mapping[PairKey, RigidTransform]) -> dict[PairKey, Registration]:
+    return dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
 
 
 def _trusting(config: CalibrationConfig) -> CalibrationConfig:

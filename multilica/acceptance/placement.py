@@ -53,6 +53,11 @@ def imprecision(
     return None
 
 
+def unknown_precision(config: AcceptanceConfig) -> Reason:
+    """Return why a pose of which no standard deviation is known is not accepted."""
+    return Reason("imprecise", np.inf, config.max_sigma_m, "too few surfaces match to tell its sigma")
+
+
 def place_target(lidar: str, **known: Any) -> LidarPlacement:  # noqa: ANN401 - fields of the placement
     """Place the target, which has the identity."""
     pose = RigidTransform.identity(lidar, lidar)
@@ -153,7 +158,9 @@ def why_unplaced(
     if best is None:
         return "no pose was found against any other LiDAR"
     (other,) = best.lidars - {lidar}
-    return f"its best registration, with {other}: {best.verdict.text or _last_refusal(lidar, target, decisions[-1])}"
+    counts = best.verdict.outcome in ("accept", "uncertain")
+    why = _last_refusal(lidar, target, decisions[-1]) if counts else best.verdict.text
+    return f"its best registration, with {other}: {why}"
 
 
 def _best_of(lidar: str, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
@@ -161,7 +168,7 @@ def _best_of(lidar: str, pairs: Sequence[PairRegistration]) -> PairRegistration 
 
 
 def _last_refusal(lidar: str, target: str, last: MergeDecision) -> str:
-    """Return why the group of a LiDAR with an accepted pair was not merged into the target's."""
+    """Return why the group of a LiDAR with a pair that counts was not merged into the target's."""
     members = next((group for group in last.groups if lidar in group), (lidar,))
     reasons = [each.reason for each in last.candidates if each.names & {*members} and each.reason]
     return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {target}"
@@ -224,7 +231,7 @@ def unplaced_near_known(
 
     Args:
         placed: the LiDARs that have a pose.
-        scores: of the known poses of all pairs.
+        scores: of its known pose with each of these that sees something, relative to where that one is now.
         found: the registrations that were tried from there.
         not_reached: pairs for which there was no time.
     """
@@ -232,15 +239,12 @@ def unplaced_near_known(
         return LidarPlacement(
             lidar, f"the time limit (--max-time) ended the check before its pairs with {missed} were registered"
         )
-    contradicted = any(
-        lidar in pair and {*pair} - {lidar} <= {*placed} and score.visibility.contradiction > config.min_log_odds_margin
-        for pair, score in scores.items()
-    )
+    contradicted = any(score.visibility.contradiction > config.min_log_odds_margin for score in scores.values())
     best = _best_of(lidar, found)
     if best is not None:
         (other,) = best.lidars - {lidar}
         reason = f"no pose near the known one fits {other}: {best.verdict.text or 'too few points match'}"
-    elif any(lidar in pair for pair in scores):
+    elif scores:
         reason = f"{TOO_FEW_SURFACES} {' and '.join(sorted(placed))}"
     else:
         reason = "it has no returns in range, or no known pose"

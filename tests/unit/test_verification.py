@@ -15,6 +15,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, TimeLimit
+from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.verification import _trusting, register_from_known
 from multilica_cli.commands.calibrate import find_sample
@@ -56,6 +57,21 @@ def test_lidars_without_a_pose_have_the_reason(found: CalibrationResult) -> None
     assert said.startswith(("no pose near the known one fits front: ", "no pose near the known one fits right: "))
     assert "that the other sensor's beams passed through" in said
     assert [each.lidar for each in found.placements if each.contradicts_prior] == [MOVED]
+
+
+@pytest.mark.slow
+@pytest.mark.in_turn
+def test_a_lidar_beside_one_that_moved_is_not_blamed() -> None:
+    """The right LiDAR of this chain overlaps with the one at the front right only."""
+    made = simulate_snapshot("chain", "street", 5, frames=2)
+    poses = made.truth.T_target_source
+    off = RigidTransform.from_xyz_rpy("front_right", "front_right", (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
+    known = Extrinsics(made.truth.target, {**poses, "front_right": poses["front_right"] @ off})
+    found = register_from_known(made.snapshot, known)
+    assert found.target == "front_left"
+    assert found["front_right"].T_target_source.distance_to(made.truth.between("front_left", "front_right"))[0] < 0.1
+    assert found["right"].reason.startswith("no pose near the known one fits front_right: the scene does not constrain")
+    assert not any(each.contradicts_prior for each in found.placements)
 
 
 def test_a_known_pose_needs_a_tenth_of_the_evidence() -> None:
