@@ -15,7 +15,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds, open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PAIR_STAGES, PreparedLidar
-from multilica.orchestration.refinement import refine_rig
+from multilica.orchestration.refinement import estimate_sigmas, refine_rig
 from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refused, result_of
 from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState, deadline_of
@@ -28,7 +28,7 @@ _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
     (("features",), lambda state, _: clouds.prepare_lidars(state)),
     (PAIR_STAGES, search_pairs),
-    (("merge",), lambda state, _: merge_pairs(state)),
+    (("merge",), lambda state, _: _merge(state)),
     (("refine",), lambda state, _: _refine(state)),
     (("ground",), lambda state, _: fit_ground(state)),
 )
@@ -118,6 +118,12 @@ def _run_stages(state: CalibrationState) -> None:
             state.timing_s[due[0]] = time.perf_counter() - start_s
         for stage in due:
             state.observe(events.StageFinished(stage, state.timing_s.setdefault(stage, 0.0)))
+
+
+def _merge(state: CalibrationState) -> None:
+    merge_pairs(state)
+    if state.config.until == "merge" or not state.config.refine.enabled:
+        estimate_sigmas(state)
 
 
 def _refine(state: CalibrationState) -> None:

@@ -16,6 +16,7 @@ from multilica.acceptance.accept import (
     may_be_accepted,
     surely_competing,
 )
+from multilica.acceptance.placement import unknown_precision
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
@@ -29,6 +30,7 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Registration,
+    Verdict,
 )
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
@@ -362,5 +364,8 @@ def register_sides(
     found = register_best(target, source, hypotheses, config, fit=fit, is_known=is_known)
     if found.registrations:
         views = max(len(target.views), len(source.views))
-        return replace(found, verdict=accept(found.registrations, config.acceptance, views))
+        verdict = accept(found.registrations, config.acceptance, views)
+        if fit and found.information is None and verdict.outcome in ("accept", "uncertain"):
+            verdict = Verdict("undecided", (unknown_precision(config.acceptance),))
+        return replace(found, verdict=verdict)
     return replace(found, verdict=accept_by_fitness(found, config.merge))

@@ -53,6 +53,19 @@ def refine_rig(state: CalibrationState) -> None:
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
 
+def estimate_sigmas(state: CalibrationState) -> None:
+    """Estimate the covariances of the merged poses as they are, where no joint refinement follows.
+
+    Without verification there is none, as in the paper.
+    """
+    if state.group is None or not state.config.verify.enabled:
+        return
+    poses = state.group.poses
+    rig = refine(state.target, poses, _pairs_between(state, poses), state.config.refine)
+    state.covariances = state.slow_motion.added_to(rig.covariances, state.target)
+    state.repeatability = state.slow_motion.added_to(rig.repeatability, state.target)
+
+
 def _without_excluded(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> Mapping[str, RigidTransform]:
     """Leave out LiDARs that undecided pairs exclude from where they are."""
     pairs = tuple(state.registrations.values())
@@ -82,10 +95,10 @@ def _doubt_pair(state: CalibrationState, wrong: PairResidual) -> None:
 
 
 def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, Reason]) -> None:
-    """Leave the accepted pairs of lost LiDARs undecided."""
+    """Leave the accepted and uncertain pairs of lost LiDARs undecided."""
     for key, pair in state.registrations.items():
         reasons = [lost[name] for name in sorted(pair.lidars & lost.keys())]
-        if reasons and pair.verdict.accepted:
+        if reasons and may_join(pair):
             state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reasons[0],)))
             state.observe(events.VerdictChanged(state.registrations[key]))
     state.merges = [merge for merge in state.merges if not any(pair.lidars & lost.keys() for pair in merge)]

@@ -126,6 +126,6 @@ def choose_target(
         overlap[pair.target] += pair.fitness
         overlap[pair.source] += pair.fitness
     best = max(overlap, key=lambda name: (overlap[name], len(clouds[name].points_m)))
-    if overlap[best] == 0.0:
+    if not joining:
         return best, "most points, as no pair was accepted"
     return best, f"most overlap, the fitness of its pairs adds up to {overlap[best]:.2f}"

@@ -10,7 +10,7 @@ from multilica.orchestration.rig import placement_of
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeCandidate, MergeDecision
 from multilica_cli.options import Parameters, sigma_limits
-from tests.unit.made_pairs import pair, pose, registration, undecided
+from tests.unit.made_pairs import UNCERTAIN, pair, pose, registration, undecided
 
 _POSES = {"a": pose("a", "a"), "b": pose("a", "b", (1.0, 0.0, 0.0), 0.3)}
 _PLACE = pose("a", "c", (0.0, 2.0, 0.0))
@@ -115,8 +115,9 @@ def test_max_sigma_moves_the_limit(limits, status):
             "its best registration, with a: made ambiguous",
         ),
         ([pair(_PLACE)], {}, "its best registration, with a: too little in common"),
+        ([pair(_PLACE, UNCERTAIN)], {}, "its best registration, with a: too little in common"),
     ],
-    ids=["no returns", "stopped", "no pair", "refused", "refused by the merge"],
+    ids=["no returns", "stopped", "no pair", "refused", "refused by the merge", "uncertain and refused by the merge"],
 )
 def test_a_lidar_that_is_not_placed_has_a_reason(pairs, found, reason):
     placement = _placement("c", *pairs, **found)

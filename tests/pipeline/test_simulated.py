@@ -221,3 +221,18 @@ def test_no_pose_follows_cars_that_moved(rig, scene, seed, flow, frames):
         assert off @ np.linalg.solve(each.covariance, off) < 22.5
         assert each.uncertain or np.linalg.norm(off[3:]) < 0.02
         assert each.uncertain or not each.held_by_movable
+
+
+@pytest.mark.slow
+@pytest.mark.in_turn
+def test_poses_have_a_sigma_without_a_joint_refinement():
+    snapshot, names = sides().snapshot, ("left", "right")
+    whole, stopped, unrefined = (
+        watched(snapshot, *each)[0] for each in ((), ("until=merge",), ("refine.enabled=false",))
+    )
+    for result in (stopped, unrefined):
+        assert result.refinement is None
+        for name in names:
+            assert result[name].sigma_xyz_m == pytest.approx(whole[name].sigma_xyz_m, rel=0.2)
+    imprecise, _ = watched(snapshot, "until=merge", "acceptance.max_sigma_m=0.0001")
+    assert {imprecise[name].status for name in names} == {"uncertain"}

@@ -70,6 +70,14 @@ def test_a_search_ends_at_its_deadline(lidars, monkeypatch):
     assert next(asked) == 4
 
 
+def test_a_pose_that_too_few_surfaces_hold_is_not_accepted():
+    sparse = _prepared(with_overrides(_CONFIG, ["fine.max_points=30"]))
+    found = register_implied(sparse, Hypothesis(_TRUTH))
+    assert found.evidence > _CONFIG.acceptance.min_evidence
+    assert (found.information, found.verdict.outcome, found.verdict.codes) == (None, "undecided", ("imprecise",))
+    assert found.verdict.text == "too few surfaces match to tell its sigma"
+
+
 def test_a_search_finds_the_pose_of_a_pair(lidars):
     found = _search(lidars).registration
     metres, radians = found.T_target_source.with_target("t").distance_to(_TRUTH)

@@ -33,6 +33,11 @@ def test_without_an_accepted_pair_the_most_points_decide():
     assert choose_target("", _CLOUDS, pairs) == ("b", "most points, as no pair was accepted")
 
 
+def test_accepted_pairs_without_fitness_count_as_accepted():
+    _, reason = choose_target("", _CLOUDS, [pair(pose("a", "c"), fitness=0.0)])
+    assert reason == "most overlap, the fitness of its pairs adds up to 0.00"
+
+
 def test_uncertain_pairs_choose_it_where_none_is_accepted():
     pairs = [pair(pose("a", "c"), UNCERTAIN, fitness=0.2), pair(pose("a", "b"), undecided("ambiguous"))]
     assert choose_target("", _CLOUDS, pairs)[0] == "c"
