@@ -206,21 +206,28 @@ _BIAS_FIELDS = (
 )
 
 
-@pytest.mark.parametrize(("range_m", "told"), [(0.039, False), (-0.052, True)])
-def test_a_lidar_with_an_implausible_bias_is_a_warning(range_m, told):
+@pytest.mark.parametrize(
+    ("bias", "told"),
+    [
+        ({"range_m": 0.039, "elevation_deg": 0.019, "range_scale_ppm": 790.0, "glancing_m": 0.019}, ""),
+        ({"range_m": -0.052}, "its ranges"),
+        ({"elevation_deg": 0.026, "range_m": 0.01}, "its elevation angles"),
+        ({"range_scale_ppm": -1040.0}, "the scale of its ranges"),
+        ({"glancing_m": 0.026}, "its ranges on grazed surfaces"),
+    ],
+)
+def test_a_lidar_with_an_implausible_bias_is_a_warning(bias, told):
     document = made_document("complete")
     none = {"m": 0.0, "deg": 0.0}
     document["refinement"] = {
         "cycle_error_before": none,
         "cycle_error_after": none,
         "pairs": [],
-        "biases": [dict.fromkeys(_BIAS_FIELDS, 0.0) | {"lidar": "rear", "range_m": range_m}],
+        "biases": [dict.fromkeys(_BIAS_FIELDS, 0.0) | {"lidar": "rear"} | bias],
     }
     warnings = explain(document).warnings
-    expected = (
-        "rear seems to have an error in its ranges of 5 times its usual size (refine in config.toml), and sigma is"
-    )
-    assert [each.startswith(expected) for each in warnings] == [True] * told
+    expected = f"rear seems to have an error in {told} of 5 times its usual size (refine in config.toml), and sigma is"
+    assert [each.startswith(expected) for each in warnings] == [True] * bool(told)
 
 
 def test_a_pair_that_contradicts_the_others_is_a_warning():
