@@ -48,6 +48,7 @@ def _truck_of(world: World) -> Mesh:
     return Mesh(world.obstacles.vertices_m[start:], whole - start)
 
 
+@pytest.mark.slow
 def test_a_truck_without_a_place_is_refused() -> None:
     scene = SCENES["open_field"](random_stream("open_field", 0))
     way = [pose_at(scene, (x_m, y_m, 0.0)) for x_m in range(-15, 16, 5) for y_m in range(-15, 16, 2)]
@@ -55,6 +56,7 @@ def test_a_truck_without_a_place_is_refused() -> None:
         World(RIG, scene, ("open_field", 0), POSES, ("truck",), way=way)
 
 
+@pytest.mark.slow
 def test_a_drive_hands_its_way_to_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
     worlds: list[World] = []
     monkeypatch.setattr(drives, "World", lambda *args, **more: worlds.append(World(*args, **more)) or worlds[-1])
