@@ -23,7 +23,9 @@ from multilica.snapshot import Snapshot
 
 STATIC_TRANSFORMS = "tf"
 _MAX_FRAMES = 12
-_OF_TF = " Of /tf, only what static publishers of ROS 1 repeat is used; give other poses as a .toml or .urdf file."
+_OF_TF = (
+    " Poses on /tf are read only if a static publisher of ROS 1 repeats them; give others as a .toml or .urdf file."
+)
 _EXPECTED = "expected 'tf', a .toml file of extrinsics or a .urdf file"
 
 StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]
