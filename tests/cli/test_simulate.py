@@ -52,7 +52,7 @@ def test_a_drive_lies_beside_its_truth(invoke: Invoke) -> None:
         summary = make_reader(file).get_summary()
     assert summary is not None
     topics = {summary.channels[each].topic: n for each, n in summary.statistics.channel_message_counts.items()}
-    assert topics == {"/front/points": 35, "/rear/points": 35, "/tf_static": 1}
+    assert topics == {"/lidar/front/points": 35, "/lidar/rear/points": 35, "/tf_static": 1}
     assert {each.source for each in read_snapshot("d.mcap").static_transforms} == {"front", "rear"}
     assert summary.statistics.message_start_time == first["first_stamp_ns"]
     assert summary.statistics.message_end_time == last["last_stamp_ns"]
