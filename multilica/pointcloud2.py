@@ -67,7 +67,7 @@ class PointCloud2:
 
     Args:
         point_step: bytes from one point to the next.
-        row_step: bytes from one row to the next; of no meaning with a single row.
+        row_step: bytes from one row to the next; of no meaning with a single row, or where points fill the data.
     """
 
     fields: tuple[PointField, ...]
@@ -165,7 +165,9 @@ def _format(field: PointField, point_step: int, *, big_endian: bool) -> np.dtype
 
 def _checked_row_step(cloud: PointCloud2) -> int:
     row_bytes = cloud.width * cloud.point_step
-    row_step = cloud.row_step if cloud.height > 1 and cloud.row_step else row_bytes
+    # Some nodes give the bytes of one point or of all; without padding there is only one layout.
+    is_packed = len(cloud.data) == cloud.height * row_bytes
+    row_step = cloud.row_step if cloud.height > 1 and cloud.row_step and not is_packed else row_bytes
     if row_step < row_bytes:
         raise ValueError(
             f"has rows of {cloud.width} points of {cloud.point_step} bytes, yet a row step of {row_step} bytes"

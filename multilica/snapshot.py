@@ -140,7 +140,8 @@ class Snapshot:
         lidars: one entry per LiDAR, names unique, sorted by name.
         source: name of the file without folders, or address; "" if the snapshot was made in memory.
         source_sha256: hash of the bytes that were read, "" if the snapshot was made in memory.
-        static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
+        static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source; for ROS 1 also
+            what static publishers repeat on `/tf`.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
         reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
         read_motions: of the LiDARs since the previous stop of a drive; None without frames on the way.

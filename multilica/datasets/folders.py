@@ -11,7 +11,7 @@ from multilica.datasets.scene import MAIN_LIDAR, DatasetScene, SceneRequest, ext
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
 from multilica.ingest import read_snapshot
 from multilica.ingest.formats import Content, named_format
-from multilica.ingest.locate import find_source
+from multilica.ingest.locate import find_source, has_lidars
 from multilica.snapshot import LidarScans, Snapshot
 
 _PATHS_FILE = "lidar_cloud_path.txt"
@@ -57,25 +57,24 @@ def _stem(source: Path) -> str:
 def _sources(path: Path) -> list[Path]:
     if not path.exists():
         raise SourceNotFoundError(f"Nothing exists at {path}; give a ROS 2 bag, or a folder with one entry per scene.")
-    if path.is_file() or _is_scene(path):
+    if path.is_file() or any(_is_read(entry, "cloud") for entry in path.iterdir()) or _is_scene(path):
         return [path]
     found = [entry for entry in sorted(path.iterdir()) if (_is_scene(entry) if entry.is_dir() else _is_read(entry))]
     if not found:
-        raise InputError(f"{path} holds no scene; expected ROS 2 bags, or folders with a PCD file per LiDAR.")
+        raise InputError(
+            f"{path} holds no scene; expected ROS 2 bags, or folders with a PCD file or a folder of frames per LiDAR."
+        )
     return found
 
 
 def _is_scene(folder: Path) -> bool:
     """Return whether a folder is a bag, or has point files of LiDARs: a file, or a folder of frames, for each."""
-    if (folder / "metadata.yaml").is_file():
-        return True
-    entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
-    return any(_is_read(entry, "cloud") for entry in entries if entry.is_file())
+    return (folder / "metadata.yaml").is_file() or has_lidars(folder)
 
 
 def _is_read(file: Path, content: Content = "recording") -> bool:
     named = named_format(file)
-    return named is not None and named.content == content
+    return file.is_file() and not file.name.startswith(".") and named is not None and named.content == content
 
 
 def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
@@ -105,9 +104,9 @@ def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
         )
     for folder in folders[: request.scenes]:
         files = _files(folder)
-        read = read_snapshot(list(files.values()))
-        by_stem = {lidar.name: lidar for lidar in read.lidars}
-        lidars = [LidarScans(name, by_stem[file.stem].scans) for name, file in files.items()]
+        named = IngestConfig(topics={name: file.name for name, file in files.items()})
+        read = read_snapshot(list(files.values()), config=named)
+        lidars = [LidarScans(lidar.name, lidar.scans) for lidar in read.lidars]
         snapshot = Snapshot(tuple(lidars), str(folder), read.source_sha256, notes=read.notes)
         truth = given or (AGREED if AGREED.members <= {*snapshot.names} else None)
         yield DatasetScene(folder.resolve().name, snapshot, truth, _TARGET if _TARGET in snapshot.names else "")

@@ -224,7 +224,8 @@ def read_scenes(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
     """Yield a scene per stop of a sequence, oldest first, of the longest stops.
 
     Stops come from the poses of ``LiDAR_GT``, else from the scans of the reference LiDAR, which also confirm each stop.
-    The truth is the pose of each LiDAR in ``LiDAR_GT`` relative to the reference LiDAR at that moment, as in the paper.
+    The truth is the pose of each LiDAR in ``LiDAR_GT`` relative to the reference LiDAR at that moment, as in the paper;
+    without poses of the reference, relative to the first LiDAR that has some.
 
     Raises:
         SourceNotFoundError: the path does not exist.
@@ -239,7 +240,12 @@ def read_scenes(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
     for start_ns in _moments(files, trajectories, length_ns, request, sequence):
         truth = given or _truth(trajectories, start_ns + length_ns // 2)
         snapshot = _snapshot(files, start_ns, length_ns, request.frames, sequence)
-        yield DatasetScene(str(start_ns), snapshot, truth, next(iter(files)))
+        reference, *_ = files
+        target = next((lidar for lidar in files if truth is None or lidar in truth.members), reference)
+        if target != reference:
+            note = f"The truth has no pose of {reference}: {target} is the target, to which errors refer."
+            snapshot = replace(snapshot, notes=(*snapshot.notes, note))
+        yield DatasetScene(str(start_ns), snapshot, truth, target)
 
 
 def _moments(

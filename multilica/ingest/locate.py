@@ -174,6 +174,16 @@ def _are_lidars(names: Collection[str]) -> bool:
     return len({re.sub(r"\d+", "#", name) for name in names}) > 1
 
 
+def has_lidars(folder: Path) -> bool:
+    """Return whether a folder has a point file, or a folder of frames, per LiDAR.
+
+    Names that only count, as in 0001.pcd and 0002.pcd, are frames of one LiDAR.
+    """
+    frames = _frames(_entries(folder))
+    single = {lidar.lidar for lidar in frames if (folder / lidar.topic).is_file()}
+    return _are_lidars(single) if single else any(not _are_lidars({*map(_stem, each.files)}) for each in frames)
+
+
 TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]
 
 
@@ -220,7 +230,7 @@ def _several(paths: list[SourceFile]) -> Source:
 
 
 def _folder(folder: SourceFile) -> Source:
-    entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
+    entries = _entries(folder)
     files = [entry for entry in entries if entry.is_file()]
     recordings = [path for path in files if named_content(path) == "recording"]
     frames = _frames(entries)
@@ -245,6 +255,11 @@ def _folder(folder: SourceFile) -> Source:
     skipped = None if is_listed or 0 in numbers else max(numbers) - min(numbers) + 1 - len(numbers)
     dangling = tuple(_dangling([entry for entry in entries if isinstance(entry, Path)]))
     return Source(str(folder), tuple(recordings), tuple(frames), (), missing, is_listed, skipped, dangling)
+
+
+def _entries(folder: SourceFile) -> list[SourceFile]:
+    """Return what is in a folder, without hidden files, in the order of the names and their numbers."""
+    return sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
 
 
 def _dangling(entries: Sequence[Path]) -> Iterator[Path]:

@@ -36,6 +36,7 @@ class MessageType:
         requires: optional package of the decoder, as ``module`` or ``module:attribute``.
         packets: what raw packets hold and how to get points of them without a decoder; empty for point clouds.
         incomplete: the same where the decoder is installed, yet the recording lacks what it needs.
+        unread: point clouds without a decoder, and how to get clouds of another type from them.
     """
 
     names: tuple[str, ...]
@@ -44,6 +45,7 @@ class MessageType:
     requires: str = ""
     packets: str = ""
     incomplete: str = ""
+    unread: str = ""
 
 
 def _driver(packets: str, driver: str) -> str:
@@ -54,6 +56,13 @@ def _decodable(packets: str, module: str, driver: str) -> str:
     command = OPTIONAL_LIBRARIES[module].install_command
     return f"{packets}; `{command}`, or replay the log through the driver {driver}"
 
+
+COMPRESSED_CLOUD = "point_cloud_interfaces/msg/CompressedPointCloud2"
+"""Message type of the compressing transports of point_cloud_transport."""
+_OTHER_MAKES = MessageType(
+    (), packets="packets of an unknown make; if a LiDAR sent them, replay the log through its driver"
+)
+_CONVERTED = "turns into sensor_msgs/msg/PointCloud2; replay the log through it"
 
 MESSAGE_TYPES = {
     name: entry
@@ -90,6 +99,20 @@ MESSAGE_TYPES = {
         ),
         MessageType(("rslidar_msg/msg/RslidarPacket",), packets=_driver("packets of RoboSense", "rslidar_sdk")),
         MessageType(("rslidar_msgs/msg/rslidarScan",), packets=_driver("packets of RoboSense", "ros_rslidar")),
+        MessageType(
+            (COMPRESSED_CLOUD,),
+            unread=f"compressed clouds, which the node republish of point_cloud_transport {_CONVERTED}",
+        ),
+        MessageType(
+            ("sensor_msgs/msg/PointCloud",),
+            unread="clouds of the old type sensor_msgs/msg/PointCloud, which the node point_cloud_converter "
+            f"{_CONVERTED}",
+        ),
+        MessageType(
+            ("foxglove_msgs/msg/PointCloud",),
+            unread="clouds of the ROS type foxglove_msgs/msg/PointCloud; record the sensor_msgs/msg/PointCloud2 that "
+            "they are made of",
+        ),
         *(
             MessageType((file.name.upper(),), (file.name,), file.reader)
             for file in FORMATS.values()
@@ -102,8 +125,14 @@ MESSAGE_TYPES = {
 
 
 def is_packets(message_type: str) -> bool:
-    """Return whether messages of this type are raw packets of a LiDAR."""
-    return message_type in MESSAGE_TYPES and bool(MESSAGE_TYPES[message_type].packets)
+    """Return whether messages of this type are raw packets of a LiDAR, as far as its name tells."""
+    known = _known(message_type)
+    return known is not None and bool(known.packets)
+
+
+def _known(message_type: str) -> MessageType | None:
+    is_other = "packet" in message_type.lower()
+    return MESSAGE_TYPES.get(message_type, _OTHER_MAKES if is_other else None)
 
 
 @cache
@@ -140,9 +169,11 @@ def is_cloud(of: Topic | RawMessage) -> bool:
 
 def obstacle(topic: Topic) -> str:
     """Return why a topic with points cannot be decoded and what to do about it; empty for every other topic."""
-    known = MESSAGE_TYPES.get(topic.message_type)
+    known = _known(topic.message_type)
     if known is None or is_cloud(topic) or topic.encoding == OTHER_PACKETS:
         return ""
+    if known.unread:
+        return known.unread
     if known.packets:
         return known.incomplete if known.requires and is_installed(known.requires) else known.packets
     expected = " or ".join(known.encodings)

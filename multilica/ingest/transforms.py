@@ -4,7 +4,7 @@
 import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -23,6 +23,9 @@ from multilica.snapshot import Snapshot
 
 STATIC_TRANSFORMS = "tf"
 _MAX_FRAMES = 12
+_OF_TF = (
+    " Poses on /tf are read only if a static publisher of ROS 1 repeats them; give others as a .toml or .urdf file."
+)
 _EXPECTED = "expected 'tf', a .toml file of extrinsics or a .urdf file"
 
 StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]
@@ -32,6 +35,9 @@ _TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _MAX_REPEATS = 10
 _QUIET_NS = 2 * 10**9
 """After that many repetitions over that time, stop reading: each one costs a chunk of the recording."""
+_MOST_MESSAGES = 256
+_REPEATED_NS = 5 * 10**9
+"""Publishers on ROS 1's `/tf` repeat static transforms every 0.1 s, at most every few seconds."""
 _NORM_TOLERANCE = 0.01
 
 
@@ -100,7 +106,9 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
     rigs = [{name: poses[other] for name, other in frames.items() if other in poses} for poses in connected.values()]
     poses = max(rigs, key=len, default={})  # relative to the first of them
     if len(poses) < 2:
-        raise UnfitPriorError(_too_few(where, snapshot, frames, known))
+        raise UnfitPriorError(
+            _too_few(where, snapshot, frames, known) + (_OF_TF if source == STATIC_TRANSFORMS else "")
+        )
     for pose in poses.values():
         if pose.moving is not None:
             raise UnfitPriorError(
@@ -164,15 +172,32 @@ def _too_few(where: str, snapshot: Snapshot, frames: Mapping[str, str], known: S
 def read_static_transforms(recording: Recording) -> StaticTransforms:
     """Read the static transforms with the parent frame as target; the latest one if a transform changes.
 
-    Reading stops when the publishers only repeat themselves.
+    Reading stops when the publishers only repeat themselves. Frames without a parent there have the one that a static
+    publisher of ROS 1 repeats on `/tf`.
     """
     topics = [
         topic.name
         for topic in recording.topics
         if topic.message_type in _TYPES and topic.encoding in ("cdr", "ros1") and topic.name.endswith("tf_static")
     ]
-    if not topics:
-        return (), ()
+    found, notes = _read_latest(recording, topics) if topics else ({}, {})
+    known = {child for _, child in found}
+    found |= {ends: pose for ends, pose in _read_repeated(recording).items() if ends[1] not in known}
+    parents: dict[str, list[str]] = defaultdict(list)
+    for parent, child in sorted(found):
+        parents[child].append(parent)
+    notes |= {
+        f"'{(topics or ['/tf'])[0]}' gives '{child}' the parents {', '.join(several)}; expected one: remove the "
+        "others.": None
+        for child, several in parents.items()
+        if len(several) > 1
+    }
+    return tuple(found[key] for key in sorted(found)), tuple(notes)
+
+
+def _read_latest(
+    recording: Recording, topics: Sequence[str]
+) -> tuple[dict[tuple[str, str], RigidTransform], dict[str, None]]:
     found: dict[tuple[str, str], RigidTransform] = {}
     notes: dict[str, None] = {}
     repeats, news_ns = 0, 0
@@ -180,7 +205,7 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
         with closing(recording.messages(topics)) as messages:
             # Another type may be recorded under the same name.
             transforms = (message for message in messages if message.message_type in _TYPES)
-            for message in islice(transforms, 256):
+            for message in islice(transforms, _MOST_MESSAGES):
                 if _add(message, found, notes):
                     repeats, news_ns = 0, message.log_time_ns
                 repeats += 1
@@ -188,28 +213,50 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
                     break
     except DamagedRecordingError as error:
         notes[f"'{topics[0]}' was only read in part: {error.reason}."] = None
-    parents: dict[str, list[str]] = defaultdict(list)
-    for parent, child in sorted(found):
-        parents[child].append(parent)
-    notes |= {
-        f"'{topics[0]}' gives '{child}' the parents {', '.join(several)}; expected one: remove the others.": None
-        for child, several in parents.items()
-        if len(several) > 1
-    }
-    return tuple(found[key] for key in sorted(found)), tuple(notes)
+    return found, notes
+
+
+def _read_repeated(recording: Recording) -> dict[tuple[str, str], RigidTransform]:
+    """Read what static publishers of ROS 1 repeat on `/tf`, from the beginning of a recording with an index.
+
+    They date transforms ahead of time, so that these are valid until the next ones. Those of moving frames are not,
+    also while the vehicle stands.
+    """
+    topics = [
+        topic.name
+        for topic in recording.topics
+        if topic.message_type in _TYPES and topic.encoding == "ros1" and topic.name.rpartition("/")[2] == "tf"
+    ]
+    if not topics or not recording.is_indexed:
+        return {}
+    values: dict[tuple[str, str], list[tuple[float, ...] | None]] = defaultdict(list)
+    start_ns = None
+    with suppress(DamagedRecordingError), closing(recording.messages(topics)) as messages:
+        for message in islice(messages, _MOST_MESSAGES):
+            start_ns = message.log_time_ns if start_ns is None else start_ns
+            if message.log_time_ns - start_ns > _REPEATED_NS:
+                break
+            with suppress(ValueError):
+                for stamp_ns, parent, child, numbers in _stamped(message):
+                    values[parent, child].append(numbers if stamp_ns > message.log_time_ns else None)
+    found = {}
+    for ends, given in values.items():
+        first = given[0]
+        if first is not None and len(given) > 1 and set(given) == {first}:
+            with suppress(ValueError):
+                found[ends] = _rigid(*ends, first)
+    return found
 
 
 def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], notes: dict[str, None]) -> bool:
     """Add the transforms of a message; return whether any of them is new."""
-    # Building the message types of `rosbags` would take longer than everything else that a small recording needs.
     try:
-        reader = WireReader.of_message(message)
-        stamped = [(reader.header()[1], reader.text().strip("/"), reader.float64s(7)) for _ in range(reader.uint32())]
+        stamped = _stamped(message)
     except ValueError as error:
         notes[f"A message on '{message.topic}' was left out: it {error}."] = None
         return False
     is_news = False
-    for parent, child, values in stamped:
+    for _, parent, child, values in stamped:
         try:
             transform = _rigid(parent, child, values)
         except ValueError as error:
@@ -219,6 +266,13 @@ def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], note
             is_news |= key not in found or not np.array_equal(found[key].matrix, transform.matrix)
             found[key] = transform
     return is_news
+
+
+def _stamped(message: RawMessage) -> list[tuple[int, str, str, tuple[float, ...]]]:
+    """Return stamp in nanoseconds, parent, child, and translation and quaternion of each transform of a message."""
+    # Building the message types of `rosbags` would take longer than everything else that a small recording needs.
+    reader = WireReader.of_message(message)
+    return [(*reader.header(), reader.text().strip("/"), reader.float64s(7)) for _ in range(reader.uint32())]
 
 
 def _rigid(parent: str, child: str, values: tuple[float, ...]) -> RigidTransform:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Disturbances of a snapshot, by name."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.simulate.rigs import BASE, Mount, Rig
 from multilica.simulate.scenes import Scene
 from multilica.simulate.sensors import Hits, SensorModel, Surroundings, unit_directions
-from multilica.simulate.shapes.mesh import Mesh, merged
+from multilica.simulate.shapes.mesh import Mesh, merged, reaches_into
 from multilica.simulate.shapes.objects import pedestrian, truck
 from multilica.simulate.traffic import FLOWS
 
@@ -24,7 +24,7 @@ DISTURBANCES: Mapping[str, str] = {
     "pedestrians": "people walk around the vehicle",
     "rain": "2 % of the returns are strays at random nearer ranges",
     "traffic:<flow>": "cars drive past: one_way, both_ways or queue; each LiDAR scans up to 60 ms after the first",
-    "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",
+    "truck": "a truck beside the vehicle, off the way of a drive, blocks about half of one LiDAR's view",
 }
 _RAIN_SHARE = 0.02
 _DIRT_ECHO_SHARE = 0.3
@@ -122,21 +122,46 @@ def pedestrians(scene: Scene, walkers: tuple[Walker, ...], time_s: float) -> Mes
     return merged(meshes)
 
 
-def truck_beside(scene: Scene, rig: Rig, mount: Mount, T_base_lidar: RigidTransform, rng: np.random.Generator) -> Mesh:
-    """Build a truck in the world frame, at the place where it blocks closest to half of the LiDAR's beams."""
-    half_length_m, half_width_m = rig.half_size_m
+def truck_beside(
+    scene: Scene,
+    rig: Rig,
+    mount: Mount,
+    T_base_lidar: RigidTransform,
+    rng: np.random.Generator,
+    way: Sequence[RigidTransform] = (),
+) -> Mesh:
+    """Build a truck in the world frame, at the place where it blocks closest to half of the LiDAR's beams.
+
+    Args:
+        way: poses ``T_world_base`` of the vehicle on its drive, which the truck leaves free.
+
+    Raises:
+        UsageError: every place is on the way.
+    """
     body = truck(rng.uniform(10.0, 14.0), min(_TRUCK_HEIGHT_M, scene.headroom_m))
     directions = mount.sensor.pattern.directions(0, rng)[::41]
+    parked = list(_beside(rig, body))
+    blocked = [np.isfinite(Surroundings(mesh).cast(T_base_lidar, directions).ranges_m).mean() for mesh in parked]
+    for index in map(int, np.argsort(np.abs(np.array(blocked) - 0.5), kind="stable")):
+        placed = parked[index].transformed(scene.T_world_base)
+        if not any(reaches_into(placed.transformed(pose.inverse()), *rig.room_m) for pose in way):
+            return placed
+    raise UsageError(
+        "The truck has no place beside the vehicle that the drive leaves free; choose another seed or route, or leave "
+        "out the disturbance 'truck'."
+    )
+
+
+def _beside(rig: Rig, body: Mesh) -> Iterator[Mesh]:
+    """Yield a truck at places along and across the vehicle, on each side, in the base frame."""
+    half_length_m, half_width_m = rig.half_size_m
     half_m = float(body.vertices_m[:, 0].max())
-    parked = []
     for across, away_m, reach_m in ((False, half_width_m, half_m), (True, half_length_m, half_m + 1.0)):
         for side in (-1.0, 1.0):
             for gap_m in _TRUCK_GAPS_M:
                 for along_m in np.linspace(-reach_m, reach_m, 9).tolist():
                     beside_m = side * (away_m + gap_m + 1.25)
                     if across:
-                        parked.append(body.moved(beside_m, along_m, yaw_rad=np.pi / 2.0))
+                        yield body.moved(beside_m, along_m, yaw_rad=np.pi / 2.0)
                     else:
-                        parked.append(body.moved(along_m, beside_m))
-    blocked = [np.isfinite(Surroundings(mesh).cast(T_base_lidar, directions).ranges_m).mean() for mesh in parked]
-    return parked[int(np.argmin(np.abs(np.array(blocked) - 0.5)))].transformed(scene.T_world_base)
+                        yield body.moved(along_m, beside_m)

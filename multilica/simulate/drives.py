@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -48,7 +48,8 @@ _UNMOVED: Mapping[str, RigidTransform] = MappingProxyType({})
 _CAR_LOW_M, _CAR_HIGH_M = np.array([-2.8, -1.1, 0.4]), np.array([2.8, 1.1, 2.0])
 _CAR_NEAR_M, _CAR_FAR_M = 3.5, 14.0
 _EYE_M = 1.1
-_CAR_TRIES = 40
+_CAR_TRIES, _CAR_FAILURES = 40, 400
+"""Tries per car that is asked for, and failures in a row that end them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,18 +183,22 @@ class _Drive:
         way = sweep(self._places, legs)
         self._scene = with_room_along(bare, vehicle.rig, way)
         place = (scene, seed)
-        self.world = World(vehicle.rig, self._scene, place, vehicle.T_base_lidar, disturbances, is_timed=with_log)
+        T_world_way = [pose_at(self._scene, each) for each in way]
+        self.world = World(
+            vehicle.rig, self._scene, place, vehicle.T_base_lidar, disturbances, is_timed=with_log, way=T_world_way
+        )
         self._units, self._with_log = vehicle.units, with_log
         self._stand, self._cycle = frames, frames + 1 + _LEG_FRAMES
-        cars = _parked_cars(self.world, self._places, way, parked, random_stream("parked", *place))
-        self._parked = [
-            tuple(car for car, first, end in cars if first <= stop < end) for stop in range(len(self._places))
-        ]
         at_stops = [standing_at(self._scene, each) for each in self._places]
         keys = [(), *((stop,) for stop in range(1, len(at_stops)))]
         lasting_s = self._cycle * FRAME_S
         self._movers = [
             self.world.movers(standing, *key, lasting_s=lasting_s) for standing, key in zip(at_stops, keys, strict=True)
+        ]
+        lanes_m = {car.lane_y_m for movers in self._movers for car in movers.cars}
+        cars = _parked_cars(self.world, self._places, lanes_m, parked, random_stream("parked", *place))
+        self._parked = [
+            tuple(car for car, first, end in cars if first <= stop < end) for stop in range(len(self._places))
         ]
 
     @property
@@ -240,17 +245,20 @@ class _Drive:
 
 
 def _parked_cars(
-    world: World, places: list[Place], way: list[Place], count: int, rng: np.random.Generator
+    world: World, places: list[Place], lanes_m: Collection[float], count: int, rng: np.random.Generator
 ) -> list[tuple[Mesh, int, int]]:
     """Draw cars in plain view of the stops, not on the way, with the first stop and the last one, exclusive, of each.
+
+    Args:
+        lanes_m: y of the cars that drive past, which the parked ones keep free.
 
     Raises:
         UsageError: there is no room for so many.
     """
-    whole = merged(world.scene.parts)
     cars: list[tuple[Mesh, int, int]] = []
+    failures = 0
     for _ in range(_CAR_TRIES * count):
-        if len(cars) == count:
+        if len(cars) == count or failures == _CAR_FAILURES:
             break
         place = places[int(rng.integers(len(places)))]
         azimuth_rad, range_m = rng.uniform(-np.pi, np.pi), rng.uniform(_CAR_NEAR_M, _CAR_FAR_M)
@@ -260,12 +268,14 @@ def _parked_cars(
         T_world_base = pose_at(world.scene, place)
         x_m, y_m, _ = T_world_base.apply(spot_m).tolist()
         at = (x_m, y_m, place[2] + turn_rad)
-        if not _is_visible(world, T_world_base, azimuth_rad, range_m):
+        failures += 1
+        if not _is_visible(world, T_world_base, azimuth_rad, range_m) or _reaches_lane(at, lanes_m):
             continue
-        if any(_reaches_car(world.rig.body.transformed(pose_at(world.scene, each)), world.scene, at) for each in way):
+        if any(_reaches_car(world.rig.body.transformed(pose), world.scene, at) for pose in world.way):
             continue
-        if any(_reaches_car(each, world.scene, at) for each in (whole, *(other for other, _, _ in cars))):
+        if any(_reaches_car(each, world.scene, at) for each in (world.obstacles, *(other for other, _, _ in cars))):
             continue
+        failures = 0
         parked = world.scene.terrain.place(body, *at)
         cars.append((parked, 0, switch) if leaves else (parked, switch, len(places)))
     if len(cars) < count:
@@ -277,6 +287,14 @@ def _is_visible(world: World, T_world_base: RigidTransform, azimuth_rad: float, 
     eye = RigidTransform.from_xyz_rpy(BASE, "eye", (0.0, 0.0, _EYE_M), (0.0, 0.0, 0.0))
     beam = unit_directions(np.array([azimuth_rad]), np.zeros(1))
     return bool(world.sees(T_world_base @ eye, beam)[0] > range_m + 1.0)
+
+
+def _reaches_lane(at: Place, lanes_m: Collection[float]) -> bool:
+    """Return whether a car that stands there reaches into the way of one that drives along the x axis."""
+    _, y_m, yaw_rad = at
+    half_length_m, half_width_m, _ = _CAR_HIGH_M
+    reach_m = half_width_m + abs(np.sin(yaw_rad)) * half_length_m + abs(np.cos(yaw_rad)) * half_width_m
+    return any(abs(y_m - lane_m) < reach_m for lane_m in lanes_m)
 
 
 def _reaches_car(body: Mesh, scene: Scene, at: Place) -> bool:

@@ -73,6 +73,8 @@ class World:
         scene: with room for the rig.
         place: name and seed of the scene.
         is_timed: ideal LiDARs report the time of each point, too; real ones always do.
+        way: poses ``T_world_base`` on a drive, which a truck beside the vehicle leaves free.
+        obstacles: all that stands there, in the world frame.
     """
 
     rig: Rig
@@ -81,6 +83,8 @@ class World:
     T_base_lidar: Mapping[str, RigidTransform]
     disturbances: tuple[str, ...] = ()
     is_timed: bool = False
+    way: Sequence[RigidTransform] = ()
+    obstacles: Mesh = field(init=False)
     _fixed: Surroundings = field(init=False)
     _vehicle: Surroundings = field(init=False)
 
@@ -90,10 +94,12 @@ class World:
         if "truck" in self.disturbances:
             lorries = random_stream("truck", self.rig.name, name, seed)
             mount = self.rig.mounts[int(lorries.integers(len(self.rig.mounts)))]
-            meshes.append(truck_beside(self.scene, self.rig, mount, self.T_base_lidar[mount.name], lorries))
+            T_base_lidar = self.T_base_lidar[mount.name]
+            meshes.append(truck_beside(self.scene, self.rig, mount, T_base_lidar, lorries, self.way))
         lengths_m = np.array([mesh.length_m for mesh in meshes])
         drawn = draw_reflectivities(lengths_m, random_stream(name, seed, "reflectivity"))
-        fixed = Surroundings(merged(meshes), np.repeat(drawn, [len(mesh.triangles) for mesh in meshes]))
+        object.__setattr__(self, "obstacles", merged(meshes))
+        fixed = Surroundings(self.obstacles, np.repeat(drawn, [len(mesh.triangles) for mesh in meshes]))
         object.__setattr__(self, "_fixed", fixed)
         object.__setattr__(self, "_vehicle", Surroundings(self.rig.body))
 

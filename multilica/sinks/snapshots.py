@@ -144,13 +144,16 @@ def write_ros2_bag(snapshot: Snapshot, folder: Path, *, custom_data: Mapping[str
 
 
 def write_ros2_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
-    """Write the same as `write_ros1_bag` into an MCAP file of rosbag2, in CDR.
+    """Write the same as `write_ros1_bag`, and ``/tf_static``, into an MCAP file of rosbag2, in CDR.
 
     Args:
         metadata: entries of the metadata record ``log``, for instance `vehicle`.
     """
     schema, channel = ros2.schema_of(ros2.POINT_CLOUD), ros2.offered_qos(latched=False)
     with atomic_file(path) as file, mcap_messages(file, Profile.ROS2, compression=CompressionType.ZSTD) as messages:
+        if snapshot.static_transforms:
+            start_ns = min((scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans), default=0)
+            messages.write(_static_transforms(snapshot.static_transforms, _ros_stamp_ns(start_ns)), start_ns)
         for topic, scan, cloud in _clouds_in_order(snapshot):
             messages.write(McapMessage(topic, schema, ros2.serialised(cloud), channel), scan.stamp_ns)
         if metadata:

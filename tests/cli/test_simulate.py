@@ -13,6 +13,8 @@ from tests.cli.support import Invoke, assert_one_sentence
 
 REQUEST = ("simulate", "--rig", "chain", "--scene", "garage", "--seed", "3", "--frames", "1")
 
+DRIVE = ("--rig", "front_back", "--scene", "yard", "--drive", "yard", "--out", "a.mcap")
+
 
 def test_a_snapshot_lies_beside_its_truth(invoke: Invoke) -> None:
     outcome = invoke(*REQUEST, "--out", "deep/chain.mcap")
@@ -49,7 +51,9 @@ def test_a_drive_lies_beside_its_truth(invoke: Invoke) -> None:
     with Path("d.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    assert set(summary.statistics.channel_message_counts.values()) == {35}
+    topics = {summary.channels[each].topic: n for each, n in summary.statistics.channel_message_counts.items()}
+    assert topics == {"/lidar/front/points": 35, "/lidar/rear/points": 35, "/tf_static": 1}
+    assert {each.source for each in read_snapshot("d.mcap").static_transforms} == {"front", "rear"}
     assert summary.statistics.message_start_time == first["first_stamp_ns"]
     assert summary.statistics.message_end_time == last["last_stamp_ns"]
 
@@ -99,6 +103,9 @@ def test_a_fleet_lies_in_its_folder(invoke: Invoke) -> None:
         (("--fleet", "logs", "--rig", "edgar"), "--rig is for a single recording"),
         (("--fleet", "logs", "--disturb", "rain"), "--disturb is for a single recording"),
         (("--fleet", "logs", "--vehicles", "0"), "0 vehicles"),
+        (("--fleet", "logs", "--workers", "-1"), "'--workers': Input should be greater than or equal to 1"),
+        ((*DRIVE, "--stops", "0"), "'--stops': Input should be greater than or equal to 1"),
+        ((*DRIVE, "--parked", "-1"), "'--parked': Input should be greater than or equal to 0"),
         (("--fleet", "s3://bucket/logs"), "--fleet s3://"),
     ],
 )

@@ -70,6 +70,30 @@ def test_folders_of_point_files(simulation: Simulation, tmp_path: Path) -> None:
     assert len(list(read_edgar(tmp_path, SceneRequest(scenes=1)))) == 1
 
 
+def write_frames(folder: Path, lidars: tuple[str, ...] = ("main_lidar", "lidar_1")) -> None:
+    for lidar in lidars:
+        for frame in ("0001", "0002"):
+            write_pcd(folder / lidar / f"{frame}.pcd", [[1, 2, 3]])
+
+
+def test_folders_of_frames_are_lidars_of_a_scene(tmp_path: Path) -> None:
+    for scene in ("b", "a"):
+        write_frames(tmp_path / scene)
+    (tmp_path / "notes").mkdir()
+    a, b = read_edgar(tmp_path, SceneRequest())
+    (alone,) = read_edgar(tmp_path / "a", SceneRequest())
+    assert (a.name, b.name, alone.name) == ("a", "b", "a")
+    for scene in (a, b, alone):
+        assert {lidar.name: len(lidar.scans) for lidar in scene.snapshot.lidars} == {"main_lidar": 2, "lidar_1": 2}
+
+
+def test_a_scene_alone_in_its_folder_is_found(tmp_path: Path) -> None:
+    for lidar in ("main_lidar", "lidar_1"):
+        write_pcd(tmp_path / "a" / f"{lidar}.pcd", [[1, 2, 3]])
+    (scene,) = read_edgar(tmp_path, SceneRequest())
+    assert (scene.name, scene.snapshot.names) == ("a", ("lidar_1", "main_lidar"))
+
+
 @pytest.mark.slow
 def test_a_given_truth_wins(simulation: Simulation, tmp_path: Path) -> None:
     write_pcd(tmp_path / "scene" / "main_lidar.pcd", [[1, 2, 3]])

@@ -124,6 +124,16 @@ def test_a_lidar_without_poses_is_not_in_the_truth(damaged: Path) -> None:
 
 
 @pytest.mark.slow
+def test_without_poses_of_the_reference_another_is_the_target(damaged: Path, scenes: list[DatasetScene]) -> None:
+    assert scenes[0].target == "Ouster"
+    (damaged / "LiDAR_GT" / "Ouster_gt.txt").unlink()
+    scene = next(read_scenes(damaged, REQUEST))
+    assert scene.truth is not None
+    assert (scene.target, scene.truth.target) == ("Velodyne", "Velodyne")
+    assert "The truth has no pose of Ouster: Velodyne is the target, to which errors refer." in scene.snapshot.notes
+
+
+@pytest.mark.slow
 @pytest.mark.in_turn
 def test_a_vehicle_that_drives_all_the_time_is_refused(tmp_path: Path) -> None:
     for poses in (tuple(FOLDERS), ()):

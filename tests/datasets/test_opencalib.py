@@ -100,6 +100,22 @@ def test_what_is_no_scene_is_refused(tmp_path: Path) -> None:
         list(read_opencalib(tmp_path / "twice", SceneRequest()))
 
 
+def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+    for name in ("left-1", "top-1"):
+        write_pcd(tmp_path / f"{name}.pcd", POINT * 50)
+    cut = (tmp_path / "top-1.pcd").read_bytes()[:-30]
+    (tmp_path / "top-1.pcd").write_bytes(cut)
+    with pytest.raises(UnreadableSourceError, match=r"top-1\.pcd has text that is not a table"):
+        list(read_opencalib(tmp_path, SceneRequest()))
+
+
+def test_a_name_with_a_control_character_is_read(tmp_path: Path) -> None:
+    for name in ("left-\x01", "top-\x01"):
+        write_pcd(tmp_path / f"{name}.pcd", POINT)
+    (scene,) = read_opencalib(tmp_path, SceneRequest())
+    assert scene.snapshot.names == ("left", "top")
+
+
 @pytest.mark.skipif(not real.DATA.exists(), reason=real.MISSING)
 def test_the_real_scans_are_a_scene() -> None:
     (scene,) = read_opencalib(real.DATA, SceneRequest())

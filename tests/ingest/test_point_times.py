@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,10 @@ import numpy as np
 import pytest
 
 from multilica.ingest.locate import find_source
-from multilica.ingest.message_types import decode_cloud
+from multilica.ingest.message_types import decode_cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points, encode_points
-from tests.ingest.support.format_writers import LIVOX_POINT_NS, livox_messages, write_raw_mcap
+from tests.ingest.support.format_writers import LIVOX_POINT_NS, livox_messages, velodyne_messages, write_raw_mcap
 from tests.ingest.support.recording_writers import make_snapshot
 
 _XYZ = tuple(PointField(name, 4 * at, 7) for at, name in enumerate("xyz"))
@@ -99,3 +100,33 @@ def test_times_of_livox_are_read_if_wanted(tmp_path: Path):
     timed = decode_cloud(replace(message, timed=True)).scan
     np.testing.assert_array_equal(timed.times_ns, LIVOX_POINT_NS * np.arange(len(timed.points_m)))
     recording.close()
+
+
+def _first_cloud(path: Path):
+    with closing(open_source(find_source([path]))) as recording:
+        topics = [topic.name for topic in recording.topics if is_cloud(topic)]
+        with closing(recording.messages(topics)) as messages:
+            message = next(messages)
+    assert decode_cloud(message).scan.times_ns is None
+    return decode_cloud(replace(message, timed=True)).scan
+
+
+def test_packets_of_velodyne_have_times(tmp_path: Path) -> None:
+    write_raw_mcap(velodyne_messages("cdr"), tmp_path / "a.mcap", "cdr")
+    scan = _first_cloud(tmp_path / "a.mcap")
+    # The 75 packets are 1.33 ms apart, and the lasers 2.3 us.
+    assert (len(scan.times_ns), scan.times_ns.min()) == (len(scan.points_m), 0)
+    np.testing.assert_allclose(scan.times_ns[:16], 2304 * np.arange(16), atol=100)
+    np.testing.assert_allclose(scan.times_ns[::384], 1_330_000 * np.arange(75), atol=100)
+
+
+def test_packets_of_ouster_have_times(tmp_path: Path) -> None:
+    pytest.importorskip("ouster.sdk.core", reason="pip install --no-deps 'ouster-sdk>=1.0'")
+    from tests.ingest.support.ouster_writers import frame_of, ouster_messages, sensor
+
+    info = sensor()
+    frame = frame_of(info, 0)
+    write_raw_mcap(ouster_messages(info, [frame]), tmp_path / "a.mcap", "cdr")
+    columns = np.nonzero(frame.field("RANGE") > 0)[1]
+    expected_ns = frame.timestamp[columns] - frame.timestamp[columns].min()
+    np.testing.assert_array_equal(_first_cloud(tmp_path / "a.mcap").times_ns, expected_ns)

@@ -35,6 +35,37 @@ def test_packets_name_the_driver_to_run(tmp_path: Path, message_type: str, drive
         read_snapshot(tmp_path / "a.mcap")
 
 
+UNREAD = {
+    "point_cloud_interfaces/msg/CompressedPointCloud2": "compressed clouds, .* republish of point_cloud_transport",
+    "sensor_msgs/msg/PointCloud": "clouds of the old type .* point_cloud_converter turns into",
+    "foxglove_msgs/msg/PointCloud": "clouds of the ROS type .*; record the sensor_msgs/msg/PointCloud2",
+    "innovusion_msgs/msg/Packets": "packets of an unknown make; .* replay the log through its driver",
+    "lslidar_msgs/msg/LslidarPacket": "packets of an unknown make",
+}
+
+
+@pytest.mark.parametrize("message_type", UNREAD)
+def test_clouds_of_types_that_are_not_read_are_told(tmp_path: Path, message_type: str) -> None:
+    path, held = tmp_path / "a.mcap", f"'/roof' holds {UNREAD[message_type]}"
+    roof = ("/roof", message_type, "cdr", b"\0" * 40)
+    _write_mixed(path, [roof])
+    with pytest.raises(UnfitSnapshotError, match=f"holds no point clouds that can be read: {held}"):
+        read_snapshot(path)
+    _write_mixed(path, [roof, ("/lidar_0/points", "livox_ros_driver2/msg/CustomMsg", "cdr", _livox()[0][3])])
+    (note,) = read_snapshot(path).notes
+    assert re.match(held, note)
+    with pytest.raises(UnfitSnapshotError, match=f"In {re.escape(str(path))}, {held}"):
+        read_snapshot(path, config=IngestConfig(only=("/roof", "/lidar_0/points")))
+
+
+def test_compressed_copies_of_recorded_clouds_need_nothing(tmp_path: Path) -> None:
+    known = [("/lidar_0/points", "livox_ros_driver2/msg/CustomMsg", "cdr", data) for _, _, _, data in _livox()]
+    copy = ("/lidar_0/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", "cdr", b"\0" * 40)
+    _write_mixed(tmp_path / "a.mcap", [copy, *known])
+    (note,) = read_snapshot(tmp_path / "a.mcap").notes
+    assert note == "'/lidar_0/points/draco' holds compressed copies of clouds that are recorded, too, and are used."
+
+
 def test_packets_of_several_lidars_are_one_note(tmp_path: Path) -> None:
     known = [("/lidar_0/points", "livox_ros_driver2/msg/CustomMsg", "cdr", data) for _, _, _, data in _livox()]
     packets = [(f"/lidar_{number}/packets", "nebula_msgs/msg/NebulaPackets", "cdr", b"\0" * 40) for number in (1, 2)]

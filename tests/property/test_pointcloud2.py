@@ -174,6 +174,13 @@ def test_the_points_are_read_from_the_data_without_a_copy_of_it() -> None:
     np.testing.assert_array_equal(decode_points(cloud)[0], [[1.0, 2.0, 3.0]])
 
 
+@pytest.mark.parametrize("row_step", [1, 12, 24, 48, 1000])
+def test_points_without_gaps_ignore_the_row_step(row_step: int) -> None:
+    points_m = np.arange(12, dtype=np.float32).reshape(4, 3)
+    cloud = PointCloud2(XYZ, 2, 2, 12, row_step, points_m.tobytes())
+    np.testing.assert_array_equal(decode_points(cloud)[0], points_m)
+
+
 def test_a_single_row_ignores_its_row_step() -> None:
     cloud = encode_points(np.ones((3, 3), np.float32))
     np.testing.assert_array_equal(decode_points(replace(cloud, row_step=5))[0], np.ones((3, 3)))

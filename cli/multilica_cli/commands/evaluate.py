@@ -109,7 +109,7 @@ def datasets(
         Path,
         argument(
             "PATH",
-            "helipr: folder of a sequence. edgar: folder with a ROS 2 bag or a folder of PCD files per scene. "
+            "helipr: folder of a sequence. edgar: folder with a ROS 2 bag or a folder of point files per scene. "
             "opencalib: lidar2lidar/auto_calib/data, or one folder of it.",
         ),
     ],

@@ -71,9 +71,9 @@ def simulate(
             "by half a turn in all; exit: along a bend; yard: round a yard. FILE.truth.toml has its poses, too.",
         ),
     ] = None,
-    stops: Annotated[int | None, _one("--stops N", "Stops of a drive.", f"{_STOPS}")] = None,
+    stops: Annotated[int | None, _one("--stops N", "Stops of a drive.", f"{_STOPS}", min=1)] = None,
     parked: Annotated[
-        int | None, _one("--parked N", "Parked cars beside a drive that leave or come between the stops.", "0")
+        int | None, _one("--parked N", "Parked cars beside a drive that leave or come between the stops.", "0", min=0)
     ] = None,
     fleet: Annotated[
         Path | None,
@@ -88,7 +88,9 @@ def simulate(
     logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", "200")] = None,
     workers: Annotated[
         int | None,
-        _many("--workers N", "Worker processes; 1: none. The files are the same with any number.", "one per core"),
+        _many(
+            "--workers N", "Worker processes; 1: none. The files are the same with any number.", "one per core", min=1
+        ),
     ] = None,
     seed: Annotated[int, option("--seed", "Seed of scenes, mounting, noise and events.")] = 0,
     frames: Annotated[

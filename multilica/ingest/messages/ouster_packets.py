@@ -79,7 +79,8 @@ def decode_cloud(message: RawMessage) -> Cloud:
     x, y, z = ((in_sensor_m(frame) - T_sensor_lidar[:3, 3]) @ T_sensor_lidar[:3, :3])[seen].T
     signals = (core.ChanField.SIGNAL, core.ChanField.REFLECTIVITY, core.ChanField.RANGE)
     signal = frame.field(next(name for name in signals if frame.has_field(name)))
-    points = finite_points(x, y, z, signal[seen], np.nonzero(seen)[0])
+    rows, columns = np.nonzero(seen)
+    points = finite_points(x, y, z, signal[seen], rows, frame.timestamp[columns] if message.timed else None)
     stamps_ns = frame.timestamp[frame.timestamp > 0]
     stamp_ns = int(stamps_ns[0]) if len(stamps_ns) else message.log_time_ns
     return Cloud(points.as_scan(stamp_ns), _FRAME_ID)

@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 
 from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, listed
-from multilica.ingest.message_types import is_cloud, is_packets, obstacle
+from multilica.ingest.message_types import COMPRESSED_CLOUD, is_cloud, is_packets, obstacle
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic, normal_type
 from multilica.pointcloud2 import MERGED_TOPIC
 
@@ -102,10 +102,19 @@ def unread_notes(recording: Recording) -> list[str]:
     clouds = {topic.name: topic for topic in recording.topics if is_cloud(topic)}
     topics: dict[str, list[str]] = defaultdict(list)
     for topic in recording.topics:
-        twin = "packets of LiDARs whose clouds are recorded, too, and are used" if _is_twin(topic, clouds) else ""
-        if topic.count and (content := twin or obstacle(topic)):
+        if topic.count and (content := _as_clouds(topic, clouds) or obstacle(topic)):
             topics[content].append(f"'{topic.name}'")
     return [f"{listed(names)} {'hold' if len(names) > 1 else 'holds'} {text}." for text, names in topics.items()]
+
+
+def _as_clouds(topic: Topic, clouds: Mapping[str, Topic]) -> str:
+    """Return the content of a topic whose points are recorded as clouds, too; empty for every other topic."""
+    if _is_twin(topic, clouds):
+        return "packets of LiDARs whose clouds are recorded, too, and are used"
+    # A transport of point_cloud_transport adds its name to that of the topic: /points/draco.
+    original = clouds.get(topic.name.rpartition("/")[0])
+    is_copy = topic.message_type == COMPRESSED_CLOUD and original is not None and original.count
+    return "compressed copies of clouds that are recorded, too, and are used" if is_copy else ""
 
 
 def _named(asked_for: Mapping[str, str], clouds: Mapping[str, Topic], label: str) -> dict[str, str]:

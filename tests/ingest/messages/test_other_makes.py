@@ -130,6 +130,21 @@ def test_velodyne_packets(tmp_path: Path, encoding: str) -> None:
     assert scan.stamp_ns == 1700 * 10**9
 
 
+@pytest.mark.parametrize("range_m", [0.05, 131.0, 260.0])
+def test_no_range_of_velodyne_is_dropped(tmp_path: Path, range_m: float) -> None:
+    write_raw_mcap(velodyne_messages("cdr", range_m, model=0x28), tmp_path / "a.mcap", "cdr")
+    (scan,) = read_snapshot(tmp_path / "a.mcap")["velodyne"].scans
+    assert len(scan.points_m) > 20_000
+
+
+def test_an_unknown_model_of_velodyne_is_named(tmp_path: Path) -> None:
+    beside = [*velodyne_messages("cdr", model=77), *livox_messages(make_snapshot(), "livox_ros_driver2", "cdr")]
+    write_raw_mcap(iter(sorted(beside, key=lambda message: message[2])), tmp_path / "a.mcap", "cdr")
+    (note, *_) = read_snapshot(tmp_path / "a.mcap").notes
+    assert "cannot be decoded (Data from an unsupported Velodyne model, Model ID in packet: 77); replay the log" in note
+    assert note.endswith("through the driver velodyne_pointcloud.")
+
+
 def test_packets_name_the_driver_to_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (message_types, opening):
         monkeypatch.setattr(module, "is_installed", lambda requires: not requires)

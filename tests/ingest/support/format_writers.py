@@ -157,25 +157,25 @@ def write_raw_mcap(messages: Iterator[tuple[str, str, int, bytes]], path: Path, 
         writer.finish()
 
 
-def velodyne_messages(encoding: str, range_m: float = 10.0) -> Iterator[tuple[str, str, int, bytes]]:
-    """A turn of a VLP-16 that sees a sphere around itself."""
+def velodyne_messages(encoding: str, range_m: float = 10.0, model: int = 0x22) -> Iterator[tuple[str, str, int, bytes]]:
+    """A turn of a VLP-16, or of another model by its number, that sees a sphere around itself."""
     store = velodyne_types(encoding)
     packet = store.types["velodyne_msgs/msg/VelodynePacket"]
     time = store.types["builtin_interfaces/msg/Time"](sec=1700, nanosec=0)
     serialise = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
     message_type = "velodyne_msgs/msg/VelodyneScan"
-    packets = [packet(time, np.frombuffer(vlp16_packet(start, range_m), np.uint8)) for start in range(75)]
+    packets = [packet(time, np.frombuffer(velodyne_packet(start, range_m, model), np.uint8)) for start in range(75)]
     scan = store.types[message_type](header(store, "velodyne", 1700 * 10**9), packets)
     yield "/velodyne_packets", message_type, 1700 * 10**9, bytes(serialise(scan, message_type))
 
 
-def vlp16_packet(number: int, range_m: float) -> bytes:
-    """Twelve blocks of two firings of sixteen lasers each, 0.4 degrees apart; strongest return, VLP-16."""
-    returns = struct.pack("<HB", round(range_m / 0.002), 100) * 32
+def velodyne_packet(number: int, range_m: float, model: int) -> bytes:
+    """Twelve blocks of 32 returns, the strongest each, 0.4 degrees apart; two firings of the VLP-16, one of others."""
+    returns = struct.pack("<HB", round(range_m / (0.004 if model == 0x28 else 0.002)), 100) * 32
     blocks = b"".join(
         b"\xff\xee" + struct.pack("<H", (480 * number + 40 * block) % 36000) + returns for block in range(12)
     )
-    return blocks + struct.pack("<IBB", number * 1330, 0x37, 0x22)
+    return blocks + struct.pack("<IBB", number * 1330, 0x37, model)
 
 
 @cache

@@ -153,3 +153,8 @@ def test_what_is_no_prior_is_refused(name: str, error: type[Exception], told: st
         read_prior(str(tmp_path / name), snapshot())
     assert len(str(refusal.value).splitlines()) == 1
     assert isinstance(refusal.value, InputError | UsageError)
+
+
+def test_a_recording_without_static_transforms_says_what_is_read() -> None:
+    with pytest.raises(UnfitPriorError, match=r"/tf_static has 0 of .* Poses on /tf are read only if a static"):
+        read_prior("tf", snapshot())

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 from mcap.writer import Writer
+from rosbags import rosbag1
 
 from multilica.ingest import inspect_source
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
 from multilica.ingest.transforms import read_static_transforms
-from tests.ingest.support.recording_writers import START_NS, TRANSFORMS, ros2_types, transform_message
+from tests.ingest.support.recording_writers import START_NS, TRANSFORMS, ros1_types, ros2_types, transform_message
 
 HALF = math.sqrt(0.5)
 Entry = tuple[str, str, list[float], list[float]]
@@ -79,6 +80,46 @@ def test_what_is_repeated_for_hours_is_not_read_for_hours(tmp_path: Path) -> Non
 def test_moving_transforms_are_no_static_ones(tmp_path: Path) -> None:
     write_transforms(tmp_path / "a.mcap", [("map", "base", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])], topic="/tf")
     assert inspect_source(tmp_path / "a.mcap").static_transforms == ()
+
+
+def write_tf_of_ros1(path: Path, messages: dict[int, list[Entry]], topic: str = "/tf") -> Path:
+    """Log time before the stamp of the transforms in ns -> transforms."""
+    store = ros1_types()
+    with rosbag1.Writer(path) as writer:
+        connection = writer.add_connection(topic, TRANSFORMS, typestore=store)
+        for ahead_ns, entries in messages.items():
+            data = bytes(store.serialize_ros1(transform_message(store, entries), TRANSFORMS))
+            writer.write(connection, START_NS - ahead_ns, data)
+    return path
+
+
+def test_what_a_static_publisher_of_ros1_repeats_counts(tmp_path: Path) -> None:
+    level = [0.0, 0.0, 0.0, 1.0]
+    roof, mast = ("base", "roof", [1.0, 2.0, 3.0], level), ("base", "mast", [0.0, 0.0, 1.0], level)
+    moves = [("odom", "base", [float(x_m), 0.0, 0.0], level) for x_m in range(3)]
+    once = ("base", "once", [0.0, 1.0, 0.0], level)
+    ahead_ns = (3 * 10**8, 2 * 10**8, 10**8)
+    ahead = {time_ns: [roof, pose] for time_ns, pose in zip(ahead_ns, moves, strict=True)}
+    ahead[2 * 10**8].append(once)
+    path = write_tf_of_ros1(tmp_path / "a.bag", {**ahead, -(10**8): [mast], -(2 * 10**8): [mast]})
+    (pose,) = inspect_source(path).static_transforms
+    assert (pose.target, pose.source) == ("base", "roof")
+    np.testing.assert_allclose(pose.xyz_m, [1.0, 2.0, 3.0])
+
+
+def test_what_is_repeated_on_tf_is_not_read_for_long(tmp_path: Path) -> None:
+    roof = ("base", "roof", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])
+    messages = {number * 10**7: [roof] for number in range(2000, 0, -1)}
+    read: list[int] = []
+    with closing(open_source(find_source(write_tf_of_ros1(tmp_path / "a.bag", messages)))) as recording:
+        messages_of = recording.messages
+        recording.messages = lambda topics: (
+            read.append(message.log_time_ns) or message for message in messages_of(topics)
+        )
+        (pose,), _ = read_static_transforms(recording)
+        assert (pose.source, len(read)) == ("roof", 256)
+        recording.is_indexed = False
+        assert read_static_transforms(recording) == ((), ())
 
 
 def test_a_frame_with_two_parents_is_told(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -71,6 +72,16 @@ def test_a_dead_lidar_and_a_name_without_topic_are_kept(tmp_path: Path) -> None:
         found = read_snapshot(tmp_path / name)
         assert (found["front"].topic, found["front"].points_count) == ("/front/points", 4)
         assert [lidar.points_count for lidar in found.lidars if lidar.name == "rear"] in ([], [0])
+
+
+def test_an_mcap_has_static_transforms(tmp_path: Path) -> None:
+    poses = (RigidTransform.from_xyz_rpy("base", "lidar_0", (1.0, 2.0, 3.0), (0.0, 0.0, 0.5)),)
+    snapshot = replace(make_snapshot(), static_transforms=poses)
+    write_ros2_mcap(snapshot, tmp_path / "a.mcap")
+    found = read_snapshot(tmp_path / "a.mcap")
+    assert [(each.target, each.source) for each in found.static_transforms] == [("base", "lidar_0")]
+    assert found.static_transforms[0].distance_to(poses[0]) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert_same_times(found, snapshot)
 
 
 def test_metadata_is_found_by_its_key(tmp_path: Path) -> None:
