@@ -123,3 +123,16 @@ def test_a_target_upside_down_has_its_pose_over_the_ground():
     assert found.offset_m == pytest.approx(1.9, abs=0.01)
     assert found.normal == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
     assert found.T_base_target.rotation[2] == pytest.approx(found.normal)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ground_of_a_tunnel_is_found_beside_its_walls(seed):
+    """Nine of ten points are on the walls, and the ground near the vehicle is not seen."""
+    rng = np.random.default_rng(seed)
+    along, up = rng.uniform([-15.0, -0.5], [15.0, 4.0], (2700, 2)).T
+    walls_m = np.column_stack([along, rng.choice([-4.0, 4.0], 2700), up])
+    ground_m = np.column_stack([rng.uniform(7.0, 15.0, 300), rng.uniform(-4.0, 4.0, 300), np.full(300, -2.0)])
+    ground_m[::2, 0] *= -1.0
+    points_m = np.concatenate([walls_m, ground_m]) + rng.normal(scale=0.01, size=(3000, 3))
+    first, *_ = find_levels("top", {"top": points_m}, {}, CalibrationConfig())
+    assert first.rotation[2, 2] > 0.999
