@@ -29,8 +29,8 @@ _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual (Geman-McClure).
 _OUTLIER_SIGMAS = 3.0
-# Sine of the angle between a beam and a surface below which the normal does not tell the side: of 16 rings, normals
-# are up to 20 degrees off.
+# Sine of the angle between a beam and a surface above which any normal tells the side: of 16 rings, normals are up to
+# 20 degrees off.
 _GRAZED = float(np.sin(np.deg2rad(20.0)))
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
@@ -134,7 +134,7 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, max
     near, *_ = target.tree.nearest_within(pose.apply(source.points_m), 1.5 * DISTANCE_M)
     if len(near) > max_points:
         near = near[np.linspace(0, len(near) - 1, max_points).astype(np.intp)]
-    normals, _ = source.surface.at(near)
+    normals, flatness = source.surface.at(near)
     points_m = source.points_m[near]
     placed_m, turned = pose.apply(points_m), pose.rotate(normals)
     axes = np.argmax(np.abs(turned), axis=1)
@@ -144,7 +144,7 @@ def find_overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, max
         points_m,
         normals,
         MovedPoints.of(target.tree, placed_m),
-        sides_of(normals, points_m),
+        sides_of(normals, points_m, flatness),
         shifts_per_bias(points_m, normals, source.elevation_axis),
         shifts_per_ring_bias(points_m, source.elevation_axis),
         numbered(np.column_stack([np.floor(placed_m / _SURFACE_M), axes])),
@@ -179,7 +179,7 @@ def find_residuals(
     if np.any(of_target):
         residual_m += slopes_per_bias(found_m, normals, overlap.target.elevation_axis) @ of_target
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
-    agreement[agreement * sides_of(normals, found_m) * overlap.sides[matched] < 0.0] = 0.0
+    agreement[agreement * sides_of(normals, found_m, flatness) * overlap.sides[matched] < 0.0] = 0.0
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
     # If the normals of both clouds differ by 20 degrees, a quarter of the weight is lost; at 33 degrees, half.
@@ -187,13 +187,16 @@ def find_residuals(
     return PlaneResiduals(residual_m, root**2, normals, arms, points_m, matched, index, sigma_m)
 
 
-def sides_of(normals: FloatArray, points_m: FloatArray) -> FloatArray:
+def sides_of(normals: FloatArray, points_m: FloatArray, flatness: FloatArray) -> FloatArray:
     """Return on which side of its surface (N,) the sensor at the origin sees each point: 1, -1, or 0 if it grazes it.
 
     Sensors that see a post or a sign from opposite sides share no surface: its sides are as far apart as it is thick.
+    The normal of a surface is off by about its thickness over its extent, which is one less the flatness; by twice
+    that, it tells the side.
     """
     across_m = np.einsum("ij,ij->i", normals, points_m)
-    grazed = np.abs(across_m) < _GRAZED * np.linalg.norm(points_m, axis=1)
+    off = np.minimum(2.0 * (1.0 - flatness), _GRAZED)
+    grazed = np.abs(across_m) < off * np.linalg.norm(points_m, axis=1)
     return np.where(grazed, 0.0, np.sign(across_m))
 
 

@@ -29,6 +29,24 @@ def test_a_board_seen_from_both_sides_is_no_common_surface(x_m, counts):
     assert np.median(found.weight[~on_board]) > 0.1
 
 
+@pytest.mark.parametrize(("x_m", "counts"), [(-1.3, True), (1.3, False)], ids=["same side", "other side"])
+def test_a_board_that_both_graze_has_two_sides(x_m, counts):
+    """Beams meet it at 10 to 15 degrees, which its flat sides tell from none."""
+    beside = RigidTransform.from_xyz_rpy("world", "t", [-1.3, -7.0, 1.5], [0.0, 0.0, 1.5])
+    place = RigidTransform.from_xyz_rpy("world", "s", [x_m, -7.5, 1.6], [0.0, 0.0, 1.4])
+    clouds = (
+        scan(name, at, _BOARD, seed=seed, columns=1440) for seed, (name, at) in enumerate((("t", beside), ("s", place)))
+    )
+    target, source = (prepare_gicp_cloud(each.lidar, each.points_m, FineConfig()) for each in clouds)
+    pose = beside.inverse() @ place
+    found = find_residuals(find_overlap(target, source, pose), pose, np.zeros(2 * BIAS_COUNT))
+    on_board = (np.abs(beside.rotate(found.normals)[:, 0]) > 0.95) & (found.weight > 0.05)
+    assert (on_board.sum() > 50) == counts
+    assert on_board.sum() > 50 or on_board.sum() < 10
+
+
 def test_a_grazed_surface_has_no_side():
     points_m = np.array([[10.0, 0.0, 3.0], [10.0, 0.0, -3.0], [10.0, 0.0, 5.0], [10.0, 0.0, -5.0], [0.0, 0.0, 0.0]])
-    assert sides_of(np.tile([0.0, 0.0, 1.0], (5, 1)), points_m).tolist() == [0.0, 0.0, 1.0, -1.0, 0.0]
+    normals = np.tile([0.0, 0.0, 1.0], (5, 1))
+    assert sides_of(normals, points_m, np.zeros(5)).tolist() == [0.0, 0.0, 1.0, -1.0, 0.0]
+    assert sides_of(normals, points_m, np.full(5, 0.9)).tolist() == [1.0, -1.0, 1.0, -1.0, 0.0]
