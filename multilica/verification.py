@@ -2,7 +2,7 @@
 """Test of known extrinsics against a snapshot, without a search."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
@@ -101,9 +101,7 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     def placement(name: str) -> LidarPlacement:
         if name in rig.poses:
             return place(rig.poses[name], covariances.get(name), limits, held=state.held.get(name))
-        beside = {}
-        if name in names:
-            beside = {pair: start for pair in scores if (start := _beside(pair, name, root, rig.poses, known))}
+        beside = {pair: start for pair in scores if (start := _beside(pair, name, root, rig.poses, known))}
         found = linking.found
         return unplaced_near_known(name, rig.poses, _scores(state, beside), found, limits, state.not_reached)
 
@@ -144,8 +142,7 @@ class _Linking:
             if graph.implied(*pair) is not None:
                 continue
             if self.state.out_of_time:
-                left = {other for _, other in attempts[number:] if graph.implied(*other) is None}
-                self.state.cut_short, self.state.not_reached = True, tuple(sorted(left))
+                self._end_search({other for _, other in attempts[number:] if graph.implied(*other) is None})
                 break
             self._register(self.known.between(*pair), config)
 
@@ -157,10 +154,15 @@ class _Linking:
                 return
             for name in {*pair} - {*poses}:
                 start = _beside(pair, name, root, poses, self.known)
-                if start is not None and is_distinct(start, [self.known.between(start.target, name)]):
-                    scores = _scores(self.state, {pair: start})
-                    if _by_common_points(scores) and not self.state.out_of_time:
-                        self._register(start, config)
+                if start is None or not is_distinct(start, [self.known.between(start.target, name)]):
+                    continue
+                if self.state.out_of_time:
+                    self._end_search({pair})
+                elif _by_common_points(_scores(self.state, {pair: start})):
+                    self._register(start, config)
+
+    def _end_search(self, left: Collection[PairKey]) -> None:
+        self.state.cut_short, self.state.not_reached = True, tuple(sorted({*self.state.not_reached, *left}))
 
     @property
     def _configs(self) -> tuple[CalibrationConfig, CalibrationConfig]:
@@ -170,7 +172,7 @@ class _Linking:
         target, source = (self.state.lidars[name].side for name in (start.target, start.source))
         pair = register_sides(target, source, [Hypothesis(start)], config, is_known=True)
         self.found.append(pair)
-        if pair.verdict.outcome in ("accept", "uncertain") and pair.information is not None:
+        if pair.verdict.outcome in ("accept", "uncertain"):
             self.accepted.append(pair)
 
 

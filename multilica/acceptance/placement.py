@@ -55,7 +55,7 @@ def imprecision(
 
 def unknown_precision(config: AcceptanceConfig) -> Reason:
     """Return why a pose of which no standard deviation is known is not accepted."""
-    return Reason("imprecise", np.inf, config.max_sigma_m, "too few surfaces match to tell its sigma")
+    return Reason("sigma_unknown", np.inf, config.max_sigma_m, "too few surfaces match to tell its sigma")
 
 
 def place_target(lidar: str, **known: Any) -> LidarPlacement:  # noqa: ANN401 - fields of the placement
@@ -241,7 +241,10 @@ def unplaced_near_known(
         )
     contradicted = any(score.visibility.contradiction > config.min_log_odds_margin for score in scores.values())
     best = _best_of(lidar, found)
-    if best is not None:
+    if best is not None and best.verdict.outcome in ("accept", "uncertain"):
+        (other,) = best.lidars - {lidar}
+        reason = f"it fits {other}, but nothing links both to {' and '.join(sorted(placed))}"
+    elif best is not None:
         (other,) = best.lidars - {lidar}
         reason = f"no pose near the known one fits {other}: {best.verdict.text or 'too few points match'}"
     elif scores:

@@ -11,11 +11,12 @@ from multilica.datasets.scene import MAIN_LIDAR, DatasetScene, SceneRequest, ext
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
 from multilica.ingest import read_snapshot
 from multilica.ingest.formats import Content, named_format
-from multilica.ingest.locate import find_source, has_lidars
+from multilica.ingest.locate import find_source
 from multilica.snapshot import LidarScans, Snapshot
 
 _PATHS_FILE = "lidar_cloud_path.txt"
 _TARGET = "top"
+_COUNT = re.compile(r"[\d._-]+")
 _ENTRY = re.compile(r"device_id:[ \t]*(\d+)[ \t]*\r?\n[ \t]*path:[ \t]*(\S+)")
 AGREED = extrinsics_of(
     _TARGET, {"left": ((0.01, 0.57, -0.40), (-4.2, 45.1, 91.8)), "right": ((-0.03, -0.56, -0.43), (-0.5, 45.8, -86.1))}
@@ -57,7 +58,7 @@ def _stem(source: Path) -> str:
 def _sources(path: Path) -> list[Path]:
     if not path.exists():
         raise SourceNotFoundError(f"Nothing exists at {path}; give a ROS 2 bag, or a folder with one entry per scene.")
-    if path.is_file() or any(_is_read(entry, "cloud") for entry in path.iterdir()) or _is_scene(path):
+    if path.is_file() or _is_scene(path):
         return [path]
     found = [entry for entry in sorted(path.iterdir()) if (_is_scene(entry) if entry.is_dir() else _is_read(entry))]
     if not found:
@@ -68,8 +69,15 @@ def _sources(path: Path) -> list[Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    """Return whether a folder is a bag, or has point files of LiDARs: a file, or a folder of frames, for each."""
-    return (folder / "metadata.yaml").is_file() or has_lidars(folder)
+    """Return whether a folder is a bag, or has a point file, or a folder of frames, per LiDAR.
+
+    Names of digits only, as 0001.pcd, are those of frames; lidar_1.pcd is a LiDAR.
+    """
+    if (folder / "metadata.yaml").is_file() or any(_is_read(entry, "cloud") for entry in folder.iterdir()):
+        return True
+    folders = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
+    frames = [file.stem for each in folders for file in each.iterdir() if _is_read(file, "cloud")]
+    return bool(frames) and all(map(_COUNT.fullmatch, frames))
 
 
 def _is_read(file: Path, content: Content = "recording") -> bool:

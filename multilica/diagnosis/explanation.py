@@ -111,6 +111,7 @@ _REASONS: Mapping[str, tuple[str, str]] = {
     "held_by_movable": ("held_by_movable", "held by objects that can move"),
     "too_far_apart": ("unexplained", "LiDARs too far apart"),
     "imprecise": ("uncertain", "sigma above the limit"),
+    "sigma_unknown": ("no_overlap", "too few surfaces to tell sigma"),
     "out_of_time": ("out_of_time", "the time was over"),
     "low_fitness": ("low_fitness", "low fitness"),
 }

@@ -174,16 +174,6 @@ def _are_lidars(names: Collection[str]) -> bool:
     return len({re.sub(r"\d+", "#", name) for name in names}) > 1
 
 
-def has_lidars(folder: Path) -> bool:
-    """Return whether a folder has a point file, or a folder of frames, per LiDAR.
-
-    Names that only count, as in 0001.pcd and 0002.pcd, are frames of one LiDAR.
-    """
-    frames = _frames(_entries(folder))
-    single = {lidar.lidar for lidar in frames if (folder / lidar.topic).is_file()}
-    return _are_lidars(single) if single else any(not _are_lidars({*map(_stem, each.files)}) for each in frames)
-
-
 TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]
 
 

@@ -4,6 +4,7 @@
 To add a message type, write its decoder in `messages/` and add one entry to `MESSAGE_TYPES`.
 """
 
+import re
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -57,8 +58,12 @@ def _decodable(packets: str, module: str, driver: str) -> str:
     return f"{packets}; `{command}`, or replay the log through the driver {driver}"
 
 
-COMPRESSED_CLOUD = "point_cloud_interfaces/msg/CompressedPointCloud2"
-"""Message type of the compressing transports of point_cloud_transport."""
+COMPRESSED_CLOUDS = (
+    "point_cloud_interfaces/msg/CompressedPointCloud2",
+    "draco_point_cloud_transport/msg/CompressedPointCloud2",
+)
+"""Message types of the compressing transports of point_cloud_transport, of ROS 2 and ROS 1."""
+_PACKETS = re.compile(r"Packet(s|Msg)?$")
 _OTHER_MAKES = MessageType(
     (), packets="packets of an unknown make; if a LiDAR sent them, replay the log through its driver"
 )
@@ -100,7 +105,7 @@ MESSAGE_TYPES = {
         MessageType(("rslidar_msg/msg/RslidarPacket",), packets=_driver("packets of RoboSense", "rslidar_sdk")),
         MessageType(("rslidar_msgs/msg/rslidarScan",), packets=_driver("packets of RoboSense", "ros_rslidar")),
         MessageType(
-            (COMPRESSED_CLOUD,),
+            COMPRESSED_CLOUDS,
             unread=f"compressed clouds, which the node republish of point_cloud_transport {_CONVERTED}",
         ),
         MessageType(
@@ -125,13 +130,13 @@ MESSAGE_TYPES = {
 
 
 def is_packets(message_type: str) -> bool:
-    """Return whether messages of this type are raw packets of a LiDAR, as far as its name tells."""
-    known = _known(message_type)
+    """Return whether messages of this type are raw packets of a LiDAR of a known make."""
+    known = MESSAGE_TYPES.get(message_type)
     return known is not None and bool(known.packets)
 
 
 def _known(message_type: str) -> MessageType | None:
-    is_other = "packet" in message_type.lower()
+    is_other = _PACKETS.search(message_type) and "image_transport" not in message_type
     return MESSAGE_TYPES.get(message_type, _OTHER_MAKES if is_other else None)
 
 

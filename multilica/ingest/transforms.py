@@ -219,8 +219,8 @@ def _read_latest(
 def _read_repeated(recording: Recording) -> dict[tuple[str, str], RigidTransform]:
     """Read what static publishers of ROS 1 repeat on `/tf`, from the beginning of a recording with an index.
 
-    They date transforms ahead of time, so that these are valid until the next ones. Those of moving frames are not,
-    also while the vehicle stands.
+    They date transforms ahead of time, so that these are valid until the next ones. Those of moving frames usually are
+    not.
     """
     topics = [
         topic.name

@@ -11,7 +11,7 @@ from multilica.geometry import RigidTransform
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeDecision, PairRegistration, PairResidual, Reason, Verdict, connected
-from multilica.stages.refine import refine, trusted_pairs
+from multilica.stages.refine import RefinedRig, refine, trusted_pairs
 
 
 def refine_rig(state: CalibrationState) -> None:
@@ -43,26 +43,32 @@ def refine_rig(state: CalibrationState) -> None:
             _doubt_pair(state, wrong)
             continue
         poses = _without(state, poses, lost)
-    state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
     rig = doubt_movable(state, rig, used)
     state.group = Group(state.target, rig.poses)
-    covariances = widened(rig.covariances, doubts, rig.poses)
-    state.covariances = state.slow_motion.added_to(covariances, state.target)
-    state.repeatability = state.slow_motion.added_to(rig.repeatability, state.target)
+    _take_covariances(state, rig, doubts)
     state.refinement = rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
 
 def estimate_sigmas(state: CalibrationState) -> None:
-    """Estimate the covariances of the merged poses as they are, where no joint refinement follows.
+    """Estimate the covariances of the merged poses where no joint refinement follows: those that it would give.
 
     Without verification there is none, as in the paper.
     """
     if state.group is None or not state.config.verify.enabled:
         return
     poses = state.group.poses
-    rig = refine(state.target, poses, _pairs_between(state, poses), state.config.refine)
-    state.covariances = state.slow_motion.added_to(rig.covariances, state.target)
+    used = _pairs_between(state, poses)
+    rig = refine(state.target, poses, used, state.config.refine)
+    _take_covariances(state, rig, doubted_lidars(state.target, used, rig.refinement.pairs))
+
+
+def _take_covariances(state: CalibrationState, rig: RefinedRig, doubts: Mapping[str, PairResidual]) -> None:
+    """Keep the covariances of a rig, wider for LiDARs in doubt, with the reasons for these."""
+    limits = state.config.acceptance
+    state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
+    covariances = widened(rig.covariances, doubts, rig.poses)
+    state.covariances = state.slow_motion.added_to(covariances, state.target)
     state.repeatability = state.slow_motion.added_to(rig.repeatability, state.target)
 
 

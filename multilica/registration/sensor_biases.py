@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Systematic errors that a registration estimates, of a LiDAR and of each of its rings."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotri
@@ -10,7 +11,6 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotri
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
 from multilica.results import IndexArray
-from multilica.results.values import LEAST_IMPLAUSIBLE
 
 BIAS_COUNT = 4
 """Per LiDAR: range (m), elevation (rad), the scale of the ranges, and range on a surface that the beam grazes (m)."""
@@ -38,9 +38,9 @@ _SCENE_SIGMA_M = 0.0007
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
 _SWEEPS = 3
 # The unknowns of a pose that are lengths.
-# The largest of 84 LiDARs with the errors that datasheets allow.
-_USUAL_BIAS = 2.0
 _POSITION = np.repeat([0.0, 1.0], 3)
+# Largest bias by its standard deviation, of 84 LiDARs with the errors that datasheets allow.
+_USUAL_BIAS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,16 +128,32 @@ def prior_sigmas(lidar: str, config: RefineConfig) -> FloatArray:
 
 
 def distrust(biases: FloatArray, sigmas: FloatArray) -> float:
-    """Return the factor by which the standard deviation of a pose grows if a LiDAR's biases (4,) are implausible.
+    """Return the factor by which the standard deviation of a pose grows if a LiDAR's biases (4,) are unusual.
 
-    Ranges that a driver scales wrongly, or a wrong timestamp of a turning mirror, are no biases that the model knows,
-    and the pose may be off by a part of them.
+    They point to an error that the model lacks, such as ranges that a driver scales wrongly, and the pose may be off by
+    a part of it.
 
     Args:
         sigmas: (4,) as `prior_sigmas`.
     """
-    largest = float(np.max(np.abs(biases) / sigmas))
-    return largest / _USUAL_BIAS if largest > LEAST_IMPLAUSIBLE else 1.0
+    return max(1.0, float(np.max(np.abs(biases) / sigmas)) / _USUAL_BIAS)
+
+
+def distrust_of_chains(root: str, own: Mapping[str, float], pairs: Sequence[Collection[str]]) -> dict[str, float]:
+    """Return `distrust` of each LiDAR with those on its way to the root, on the way that is trusted most.
+
+    Args:
+        own: per LiDAR.
+        pairs: LiDARs of each pair.
+    """
+    ways = [each for pair in sorted({tuple(sorted(pair)) for pair in pairs}) for each in permutations(pair, 2)]
+    found, before = {root: own[root]}, dict[str, float]()
+    while found != before:
+        before = found.copy()
+        for here, there in ways:
+            if here in found:
+                found[there] = min(found.get(there, np.inf), max(found[here], own[there]))
+    return found
 
 
 def ring_sigmas(bias_sigmas: FloatArray, rings: int) -> FloatArray:

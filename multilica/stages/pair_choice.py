@@ -87,7 +87,7 @@ def is_open(before: PairRegistration | None, implied: RigidTransform) -> bool:
         return True
     ended_there = not is_distinct(implied, [before.T_target_source.with_target(implied.target)])
     return not before.verdict.accepted and not (
-        ended_there and before.verdict.codes in (("not_observable",), ("imprecise",))
+        ended_there and before.verdict.codes in (("not_observable",), ("imprecise",), ("sigma_unknown",))
     )
 
 

@@ -14,6 +14,7 @@ from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     RING_BIAS_COUNT,
     distrust,
+    distrust_of_chains,
     posterior,
     posterior_step,
     prior_sigmas,
@@ -136,7 +137,8 @@ def refine(
     )
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
-    factors = {name: max(state.distrust(root, sigmas), state.distrust(name, sigmas)) for name in free}
+    own = {name: state.distrust(name, sigmas) for name in (root, *free)}
+    factors = own | distrust_of_chains(root, own, [each.registration.lidars for each in used])
     return RefinedRig(
         state.views.poses,
         {name: factors[name] ** 2 * told.covariance[block, block] for name, block in blocks.items()},

@@ -87,6 +87,22 @@ def test_folders_of_frames_are_lidars_of_a_scene(tmp_path: Path) -> None:
         assert {lidar.name: len(lidar.scans) for lidar in scene.snapshot.lidars} == {"main_lidar": 2, "lidar_1": 2}
 
 
+@pytest.mark.parametrize(
+    "scenes",
+    [
+        {"scene_1": ["main_lidar", "lidar_1"], "scene_2": ["main_lidar"]},
+        {"scene_1": ["lidar_1", "lidar_2"], "scene_2": ["lidar_1", "lidar_2"]},
+        {"scene_1": ["main_lidar"]},
+    ],
+)
+def test_lidars_with_numbers_are_no_frames(tmp_path: Path, scenes: dict[str, list[str]]) -> None:
+    for scene, lidars in scenes.items():
+        for lidar in lidars:
+            write_pcd(tmp_path / scene / f"{lidar}.pcd", [[1, 2, 3]])
+    found = folders._sources(tmp_path)
+    assert [each.name for each in found] == [*scenes]
+
+
 def test_a_scene_alone_in_its_folder_is_found(tmp_path: Path) -> None:
     for lidar in ("main_lidar", "lidar_1"):
         write_pcd(tmp_path / "a" / f"{lidar}.pcd", [[1, 2, 3]])

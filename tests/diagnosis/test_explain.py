@@ -348,7 +348,7 @@ def test_every_code_of_the_decision_has_a_cause():
         (ROOT / "multilica" / "acceptance" / f"{name}.py").read_text() for name in ("accept", "rig", "placement")
     )
     codes = set(re.findall(r'(?:Reason\(\s*|_CODE = |^        )"(\w+)"(?=[,:\n])', decide, re.MULTILINE))
-    assert len(codes) == 11
+    assert len(codes) == 12
     assert {code for code in codes if cause_of_codes([code]) == "unknown"} == set()
 
 

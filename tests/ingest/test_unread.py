@@ -41,7 +41,23 @@ UNREAD = {
     "foxglove_msgs/msg/PointCloud": "clouds of the ROS type .*; record the sensor_msgs/msg/PointCloud2",
     "innovusion_msgs/msg/Packets": "packets of an unknown make; .* replay the log through its driver",
     "lslidar_msgs/msg/LslidarPacket": "packets of an unknown make",
+    "draco_point_cloud_transport/msg/CompressedPointCloud2": "compressed clouds, .* republish of point_cloud_transport",
 }
+
+
+@pytest.mark.parametrize(
+    "message_type",
+    [
+        "theora_image_transport/msg/Packet",
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket",
+        "net/msg/PacketLossStatistics",
+    ],
+)
+def test_packets_of_no_lidar_are_not_told(tmp_path: Path, message_type: str) -> None:
+    path = tmp_path / "a.mcap"
+    clouds = ("/front/points", "livox_ros_driver2/msg/CustomMsg", "cdr", _livox()[0][3])
+    _write_mixed(path, [("/front/theora", message_type, "cdr", b"\0" * 40), clouds])
+    assert read_snapshot(path).notes == ()
 
 
 @pytest.mark.parametrize("message_type", UNREAD)

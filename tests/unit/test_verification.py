@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from multilica import read_extrinsics, read_snapshot
+from multilica import read_extrinsics, read_snapshot, verification
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.extrinsics import Extrinsics
@@ -19,6 +20,7 @@ from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.verification import _trusting, register_from_known
 from multilica_cli.commands.calibrate import find_sample
+from tests.unit import made_pairs
 
 MOVED, MISSING = "left", "rear"
 
@@ -72,6 +74,33 @@ def test_a_lidar_beside_one_that_moved_is_not_blamed() -> None:
     assert found["front_right"].T_target_source.distance_to(made.truth.between("front_left", "front_right"))[0] < 0.1
     assert found["right"].reason.startswith("no pose near the known one fits front_right: the scene does not constrain")
     assert not any(each.contradicts_prior for each in found.placements)
+
+
+def test_a_lidar_is_sought_beside_one_that_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second of a chain of three was moved by 2 m; the third stands where it stood."""
+    known = Extrinsics("a", {name: made_pairs.pose("a", name, ("abc".index(name), 0.0, 0.0)) for name in "abc"})
+    state = SimpleNamespace(config=CalibrationConfig(), out_of_time=False, not_reached=(), cut_short=False)
+    state.lidars = {name: SimpleNamespace(side=name) for name in "abc"}
+    linking = verification._Linking(state, known, "abc")
+    linking.accepted.append(made_pairs.pair(made_pairs.pose("a", "b", (3.0, 0.0, 0.0))))
+    begun = []
+
+    def register(_target, _source, hypotheses, _config, **_settings):
+        begun.append(hypotheses[0].T_target_source)
+        return made_pairs.pair(begun[-1])
+
+    monkeypatch.setattr(verification, "register_sides", register)
+    monkeypatch.setattr(verification, "_scores", lambda _, poses: poses)
+    monkeypatch.setattr(verification, "_by_common_points", lambda poses: [*poses])
+    linking.link_beside_moved([("a", "b"), ("b", "c")])
+    assert [each.xyz_m.tolist() for each in begun] == [[-1.0, 0.0, 0.0]]
+    root, poses = linking.linked
+    assert {name: (poses["a"].inverse() @ poses[name]).xyz_m[0] for name in poses} == {"a": 0.0, "b": 3.0, "c": 2.0}
+    assert root == "b"
+    late = verification._Linking(state, known, "abc", accepted=linking.accepted[:1])
+    state.out_of_time = True
+    late.link_beside_moved([("a", "b"), ("b", "c")])
+    assert (state.cut_short, state.not_reached, len(begun)) == (True, (("b", "c"),), 1)
 
 
 def test_a_known_pose_needs_a_tenth_of_the_evidence() -> None:

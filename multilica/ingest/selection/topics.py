@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 
 from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, listed
-from multilica.ingest.message_types import COMPRESSED_CLOUD, is_cloud, is_packets, obstacle
+from multilica.ingest.message_types import COMPRESSED_CLOUDS, is_cloud, is_packets, obstacle
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic, normal_type
 from multilica.pointcloud2 import MERGED_TOPIC
 
@@ -113,7 +113,7 @@ def _as_clouds(topic: Topic, clouds: Mapping[str, Topic]) -> str:
         return "packets of LiDARs whose clouds are recorded, too, and are used"
     # A transport of point_cloud_transport adds its name to that of the topic: /points/draco.
     original = clouds.get(topic.name.rpartition("/")[0])
-    is_copy = topic.message_type == COMPRESSED_CLOUD and original is not None and original.count
+    is_copy = topic.message_type in COMPRESSED_CLOUDS and original is not None and original.count
     return "compressed copies of clouds that are recorded, too, and are used" if is_copy else ""
 
 

@@ -74,7 +74,7 @@ def test_a_pose_that_too_few_surfaces_hold_is_not_accepted():
     sparse = _prepared(with_overrides(_CONFIG, ["fine.max_points=30"]))
     found = register_implied(sparse, Hypothesis(_TRUTH))
     assert found.evidence > _CONFIG.acceptance.min_evidence
-    assert (found.information, found.verdict.outcome, found.verdict.codes) == (None, "undecided", ("imprecise",))
+    assert (found.information, found.verdict.outcome, found.verdict.codes) == (None, "undecided", ("sigma_unknown",))
     assert found.verdict.text == "too few surfaces match to tell its sigma"
 
 

@@ -9,6 +9,7 @@ from multilica.registration import sensor_biases
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     distrust,
+    distrust_of_chains,
     posterior,
     prior_sigmas,
     ring_numbers,
@@ -88,11 +89,20 @@ def test_priors_are_those_of_the_configuration():
     assert prior_sigmas("right", config)[0] == 0.04
 
 
-@pytest.mark.parametrize(("sigmas", "factor"), [(0.0, 1.0), (3.9, 1.0), (-5.0, 2.5), (10.0, 5.0)])
+@pytest.mark.parametrize(("sigmas", "factor"), [(0.0, 1.0), (1.9, 1.0), (-5.0, 2.5), (10.0, 5.0)])
 @pytest.mark.parametrize("bias", range(4))
 def test_implausible_biases_are_distrusted(bias, sigmas, factor):
     allowed = prior_sigmas("", RefineConfig())
     assert distrust(sigmas * allowed * np.eye(4)[bias], allowed) == pytest.approx(factor)
+
+
+def test_distrust_goes_along_the_best_way():
+    own = {"root": 1.0, "near": 5.0, "beside": 2.0, "behind": 1.0, "last": 3.0}
+    chain = [("root", "near"), ("behind", "near"), ("behind", "last")]
+    expected = {"root": 1.0, "near": 5.0, "behind": 5.0, "last": 5.0}
+    assert distrust_of_chains("root", own, chain) == expected
+    around = [*chain, ("root", "beside"), ("behind", "beside"), ("near",)]
+    assert distrust_of_chains("root", own, around) == expected | {"beside": 2.0, "behind": 2.0, "last": 3.0}
 
 
 def _problem(rng, biases_of_data, poses=1, strength=1.0):
