@@ -25,7 +25,7 @@ from tests.bench.drives.outcomes import DriveOutcome, LidarOutcome, run_drive
 from tests.bench.support.claims import Claim, figure, print_claims, print_table
 from tests.bench.support.workers import run_all
 
-FIRST_SEED = 120000
+FIRST_SEED = 121000
 """No threshold was chosen on the seeds from here on; keep it so. Those from 5000 to 9999 are for development."""
 DRIVES = 40
 """Drives per row of the table."""

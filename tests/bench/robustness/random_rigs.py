@@ -29,7 +29,7 @@ from tests.bench.support.cases import Case
 from tests.bench.support.claims import print_claims, print_table
 from tests.bench.support.workers import run_all
 
-SEEDS = range(5181, 5481)
+SEEDS = range(5241, 5541)
 """No threshold was chosen on them; keep it so. Seeds below 2000 are for development."""
 _NAME = "random"
 _SPINNING = (
