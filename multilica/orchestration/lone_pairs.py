@@ -25,6 +25,8 @@ from multilica.stages.fine import leads_surely
 _MOST_ELSEWHERE = 2
 # A wrong pose in a tunnel may fit at any of 15 places a metre apart: LiDARs of one vehicle are within 15 m.
 _OF_LONG_PLACE = log(15.0)
+# A smaller turn is no symmetry of a hall or a tunnel.
+_TURNED_RAD = np.deg2rad(45.0)
 # With a third of the LiDARs not searched, one of three could still contradict the other two.
 _MISSED_SHARE = 1.0 / 3.0
 
@@ -40,11 +42,15 @@ def doubt_lone_pairs(state: CalibrationState) -> None:
     searches between its groups found, and at those that both groups and a third LiDAR imply. If the time is over, it is
     in doubt until most LiDARs were compared with one of theirs.
 
+    If two groups fit turned as well, the scene looks the same from its other end, and a lone pair that shares a LiDAR
+    with the pair of these is in doubt unless beams contradict its turned pose.
+
     Pairs that were registered where others imply them repeat what these say: between equal trees, four of them agreed
     with a wrong pair. They go with it.
     """
     settled: dict[PairKey, tuple[Reason, ...]] = {}
-    while joint := next(_doubtful_joints(state, settled), None):
+    turns: list[_Turn] = []
+    while joint := next(_doubtful_joints(state, settled, turns), None):
         _doubt_joint(state, *joint)
 
 
@@ -90,17 +96,21 @@ def _stronger_pair(joins: str, merge: PairRegistration, pair: PairRegistration) 
     return Reason("ambiguous", merge.evidence - pair.evidence, 0.0, text)
 
 
+_Turn = tuple[str, RigidTransform, PairRegistration]
+"""A LiDAR, a turn after which the scene looks the same, in its frame, and the pair whose groups see that."""
+
 _Joint = tuple[Sequence[PairRegistration], set[str], set[str]]
 """The pairs that join two groups, and the LiDARs of both."""
 
 
 def _doubtful_joints(
-    state: CalibrationState, settled: dict[PairKey, tuple[Reason, ...]]
+    state: CalibrationState, settled: dict[PairKey, tuple[Reason, ...]], turns: list[_Turn]
 ) -> Iterator[tuple[_Joint, tuple[Reason, ...]]]:
     """Yield the pairs that join two groups and are in doubt, with the reasons; the weakest first.
 
     Args:
         settled: the lone pairs whose groups were registered, which takes long, with what was found.
+        turns: receives the turns after which the scene looks the same to such groups, in the frame of a LiDAR.
     """
     joining = [pair for pair in state.registrations.values() if may_join(pair)]
     searched = [pair for pair in joining if pair.hypothesis != IMPLIED and pair.registrations]
@@ -115,8 +125,8 @@ def _doubtful_joints(
         if not doubt and (len(across) == 1 or _search_repeats(state, members, of_source)):
             key = pair.target, pair.source
             if key not in settled:
-                settled[key] = _competing(state, pair, others)
-            doubt = settled[key]
+                settled[key] = _competing(state, pair, others, turns)
+            doubt = settled[key] or _turned(state, pair, turns)
         if doubt:
             yield (across, members, of_source), doubt
 
@@ -202,8 +212,36 @@ def _elsewhere(pair: PairRegistration, pose: RigidTransform, evidence: float) ->
     return Reason("ambiguous", pair.evidence - evidence, 0.0, text)
 
 
+def _turned(state: CalibrationState, pair: PairRegistration, turns: Sequence[_Turn]) -> tuple[Reason, ...]:
+    """Return why a lone pair of LiDARs in a scene that looks the same when turned is in doubt; nothing if it is not.
+
+    LiDARs that look apart fit each other turned as well, and nothing but the turn that others see tells of the pose
+    that is true.
+    """
+    pose, limits = pair.T_target_source, state.config.acceptance
+    known = state.score_rough_pose(pose)
+    for lidar, turn, seen_by in turns:
+        if lidar not in pair.lidars:
+            continue
+        there = turn @ pose if lidar == pair.target else pose @ turn
+        if not is_near(there, limits.max_baseline_m) or not is_distinct(there, [pose]):
+            continue
+        competing = state.score_rough_pose(there)
+        if min(known.rough_lead_over(competing), competing.visibility.contradiction) < limits.min_log_odds_margin:
+            metres, radians = pose.distance_to(there)
+            text = (
+                f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "
+                f"{np.rad2deg(radians):.0f} deg, so another pose {metres:.2f} m away is also possible"
+            )
+            return (Reason("ambiguous", 1.0, 0.0, text),)
+    return ()
+
+
 def _competing(
-    state: CalibrationState, pair: PairRegistration, others: Sequence[PairRegistration]
+    state: CalibrationState,
+    pair: PairRegistration,
+    others: Sequence[PairRegistration],
+    turns: list[_Turn],
 ) -> tuple[Reason, ...]:
     """Return why the groups that a pair joins fit as well at another pose; nothing if they do not."""
     graph = PairGraph.of(sorted(state.clouds), others)
@@ -220,6 +258,12 @@ def _competing(
     if is_distinct(pose, [pair.T_target_source]):
         return (_elsewhere(pair, pose, found.evidence),)
     competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
+    for there in (each.competing.T_target_source for each in competing if each.competing is not None):
+        turned = there.with_target(pair.target)
+        if pose.distance_to(turned)[1] >= _TURNED_RAD:
+            of_target, of_source = turned @ pose.inverse(), pose.inverse() @ turned
+            turns.extend((pair.target, turn, pair) for turn in (of_target, of_target.inverse()))
+            turns.extend((pair.source, turn, pair) for turn in (of_source, of_source.inverse()))
     return tuple(replace(reason, competing=None) for reason in competing)
 
 

@@ -10,11 +10,18 @@ import pytest
 from multilica.config import CalibrationConfig
 from multilica.events import VerdictChanged
 from multilica.orchestration import lone_pairs
+from multilica.registration.poses import moved
 from multilica.results import Group, Reason, Verdict
 from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
 from tests.unit.made_pairs import pose, undecided
 
-_REPEATS = Verdict("undecided", (Reason("held_by_repetition", 1.0, 4.6, "the scene repeats", scored(pose("a", "d"))),))
+
+def _repeats(target, source):
+    beside = scored(moved(true_pose(target, source), np.zeros(3), np.array([5.0, 0.0, 0.0])))
+    return Verdict("undecided", (Reason("held_by_repetition", 1.0, 4.6, "the scene repeats", beside),))
+
+
+_REPEATS = _repeats("a", "d")
 _ELSEWHERE = pose("a", "d", (7.0, 0.0, 0.0))
 
 
@@ -126,6 +133,13 @@ def test_groups_whose_pair_surely_leads_are_not_registered(doubt):
     assert doubt(*_GROUP, _searched("a", "d"), leads=True) == (set(), [])
 
 
+@pytest.mark.parametrize(("yaw_rad", "undecided"), [(np.pi, {"ab", "bc"}), (0.5, {"ab"})])
+def test_a_turn_that_groups_see_doubts_the_next_lone_pair(doubt, yaw_rad, undecided):
+    turned = scored(pose("a", "b", (1.0, 2.0, 0.0), yaw_rad))
+    twice = Verdict("undecided", (Reason("ambiguous", 1.0, 4.6, "it fits turned", turned),))
+    assert doubt(_searched("a", "b"), linked("b", "c"), verdict=twice)[0] == undecided
+
+
 def test_groups_that_fit_better_elsewhere_are_not_joined(doubt):
     assert doubt(*_GROUP, _searched("a", "d"), verdict=Verdict("accept"), at=_ELSEWHERE)[0] == {"ad"}
 
@@ -163,7 +177,7 @@ def test_pairs_beside_an_open_repetition_are_tested(doubt):
     open_one = replace(_searched("c", "d"), verdict=_REPEATS)
     elsewhere = [true_pose(name, "c") @ open_one.registrations[1].T_target_source for name in "ab"]
     rough = *(true_pose(*names) for names in ("ab", "bc", "ad", "bd")), *elsewhere
-    undecided, asked = doubt(*pairs, searched=(open_one,), rough=rough)
+    undecided, asked = doubt(*pairs, searched=(open_one,), rough=rough, verdict=_repeats("b", "d"))
     assert undecided == {"ad", "bd"}
     ((target, source, *further),) = asked
     assert (target, source) == ({"a", "b", "c"}, {"d"})
