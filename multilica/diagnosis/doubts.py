@@ -8,7 +8,13 @@ from multilica.diagnosis.explanation import in_words
 from multilica.results.document import ResultDocument
 from multilica.results.values import LEAST_IMPLAUSIBLE
 
-_BIASES = ("its ranges", "its elevation angles", "the scale of its ranges", "its ranges on grazed surfaces")
+_BIASES = (
+    ("its ranges", "range_bias_sigma_m"),
+    ("its elevation angles", "elevation_bias_sigma_deg"),
+    ("the scale of its ranges", "range_scale_sigma"),
+    ("its ranges on grazed surfaces", "glancing_bias_sigma_m"),
+)
+"""Words for each bias of a LiDAR, with the key of its usual size."""
 
 
 def warnings_of(document: ResultDocument) -> Iterator[str]:
@@ -56,10 +62,10 @@ def _bias_warnings(document: ResultDocument) -> Iterator[str]:
         shares = [abs(error) / sigma for error, sigma in zip(errors, allowed, strict=True)]
         largest = max(shares)
         if largest > LEAST_IMPLAUSIBLE:
+            which, key = _BIASES[shares.index(largest)]
             yield (
-                f"{bias.lidar} seems to have an error in {_BIASES[shares.index(largest)]} of {largest:.0f} times its "
-                "usual size (refine in config.toml), and sigma is larger for that. Check the units and the calibration "
-                "that its driver uses."
+                f"{bias.lidar} seems to have an error in {which}, {largest:.0f} times its usual size (refine.{key}), "
+                "and sigma is larger for that. Check the units and the calibration that its driver uses."
             )
 
 

@@ -187,8 +187,8 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
     for parent, child in sorted(found):
         parents[child].append(parent)
     notes |= {
-        f"'{(topics or ['/tf'])[0]}' gives '{child}' the parents {', '.join(several)}; expected one: remove the "
-        "others.": None
+        f"'{topics[0] if child in known else '/tf'}' gives '{child}' the parents {', '.join(several)}; expected one: "
+        "remove the others.": None
         for child, several in parents.items()
         if len(several) > 1
     }

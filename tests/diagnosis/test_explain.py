@@ -210,10 +210,13 @@ _BIAS_FIELDS = (
     ("bias", "told"),
     [
         ({"range_m": 0.039, "elevation_deg": 0.019, "range_scale_ppm": 790.0, "glancing_m": 0.019}, ""),
-        ({"range_m": -0.052}, "its ranges"),
-        ({"elevation_deg": 0.026, "range_m": 0.01}, "its elevation angles"),
-        ({"range_scale_ppm": -1040.0}, "the scale of its ranges"),
-        ({"glancing_m": 0.026}, "its ranges on grazed surfaces"),
+        ({"range_m": -0.052}, "its ranges, 5 times its usual size (refine.range_bias_sigma_m)"),
+        (
+            {"elevation_deg": 0.026, "range_m": 0.01},
+            "its elevation angles, 5 times its usual size (refine.elevation_bias",
+        ),
+        ({"range_scale_ppm": -1040.0}, "the scale of its ranges, 5 times its usual size (refine.range_scale_sigma)"),
+        ({"glancing_m": 0.026}, "its ranges on grazed surfaces, 5 times its usual size (refine.glancing_bias_sigma_m)"),
     ],
 )
 def test_a_lidar_with_an_implausible_bias_is_a_warning(bias, told):
@@ -226,7 +229,7 @@ def test_a_lidar_with_an_implausible_bias_is_a_warning(bias, told):
         "biases": [dict.fromkeys(_BIAS_FIELDS, 0.0) | {"lidar": "rear"} | bias],
     }
     warnings = explain(document).warnings
-    expected = f"rear seems to have an error in {told} of 5 times its usual size (refine in config.toml), and sigma is"
+    expected = f"rear seems to have an error in {told}"
     assert [each.startswith(expected) for each in warnings] == [True] * bool(told)
 
 
