@@ -172,7 +172,7 @@ class _Linking:
         target, source = (self.state.lidars[name].side for name in (start.target, start.source))
         pair = register_sides(target, source, [Hypothesis(start)], config, is_known=True)
         self.found.append(pair)
-        if pair.verdict.outcome in ("accept", "uncertain"):
+        if pair.verdict.counts:
             self.accepted.append(pair)
 
 

@@ -158,8 +158,7 @@ def why_unplaced(
     if best is None:
         return "no pose was found against any other LiDAR"
     (other,) = best.lidars - {lidar}
-    counts = best.verdict.outcome in ("accept", "uncertain")
-    why = _last_refusal(lidar, target, decisions[-1]) if counts else best.verdict.text
+    why = _last_refusal(lidar, target, decisions[-1]) if best.verdict.counts else best.verdict.text
     return f"its best registration, with {other}: {why}"
 
 
@@ -241,7 +240,7 @@ def unplaced_near_known(
         )
     contradicted = any(score.visibility.contradiction > config.min_log_odds_margin for score in scores.values())
     best = _best_of(lidar, found)
-    if best is not None and best.verdict.outcome in ("accept", "uncertain"):
+    if best is not None and best.verdict.counts:
         (other,) = best.lidars - {lidar}
         reason = f"it fits {other}, but nothing links both to {' and '.join(sorted(placed))}"
     elif best is not None:

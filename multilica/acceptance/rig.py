@@ -18,7 +18,7 @@ from multilica.visibility.sensor_view import ScorePose
 
 _CODE = "cycle_contradicted"
 # A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
-_TURNED_RAD = np.deg2rad(45.0)
+TURNED_RAD = np.deg2rad(45.0)
 
 
 def check_scene_symmetry(
@@ -59,14 +59,14 @@ def _turned(
     pose, margin = pair.T_target_source, config.min_log_odds_margin
     for lidar, other, symmetry in _seen_from(pair, pairs, repeating, config):
         there = symmetry @ pose if lidar == pair.target else pose @ symmetry
-        is_turn = pose.distance_to(there)[1] >= _TURNED_RAD
+        is_turn = pose.distance_to(there)[1] >= TURNED_RAD
         is_own = lidar in other.lidars
         if not is_near(there, config.max_baseline_m) or not is_distinct(there, [pose]) or not (is_turn or is_own):
             continue
         competing = score_pose(there)
         lead = pair.registrations[0].rough_lead_over(competing)
         if is_turn and min(lead, competing.visibility.contradiction) < margin:
-            return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
+            return replace(pair, verdict=Verdict("undecided", (symmetry_reason(pose, competing, other),)))
         if is_own and lead < margin and not _is_confirmed(pair, pairs):
             return replace(pair, verdict=Verdict("undecided", (_repetition(pair, competing, other, lead, config),)))
     return pair
@@ -146,7 +146,7 @@ def check_cycles(
         if implied is not None and is_distinct(implied, [loop.T_target_source]):
             cycle = graph.cycle(loop)
             needed = min(pair.evidence for pair in cycle) + config.min_log_odds_margin
-            if implied.distance_to(loop.T_target_source)[1] >= _TURNED_RAD:
+            if implied.distance_to(loop.T_target_source)[1] >= TURNED_RAD:
                 cycle, needed = graph.entangled(cycle), needed + config.min_log_odds_margin
             for pair in cycle:
                 if pair.evidence < needed:
@@ -302,7 +302,7 @@ def is_contradicted(pair: PairRegistration) -> bool:
 
 def may_join(pair: PairRegistration) -> bool:
     """Return whether the pair may join its LiDARs: an uncertain one does where no accepted pair joins them."""
-    return pair.verdict.outcome in {"accept", "uncertain"}
+    return pair.verdict.counts
 
 
 def _doubted(pairs: Sequence[PairRegistration], doubts: Mapping[int, Reason]) -> list[PairRegistration]:
@@ -324,7 +324,8 @@ def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePo
     return not is_distinct(implied, own) or best.rough_lead_over(score_pose(implied)) < config.min_log_odds_margin
 
 
-def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegistration) -> Reason:
+def symmetry_reason(pose: RigidTransform, competing: Registration, seen_by: PairRegistration) -> Reason:
+    """Return the reason to doubt a pose in a scene that looks the same when turned."""
     metres, radians = pose.distance_to(competing.T_target_source)
     text = (
         f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "

@@ -278,7 +278,7 @@ def _is_disputed(document: ResultDocument, name: str) -> bool:
 
 def _missing_open(document: ResultDocument, name: str) -> Missing:
     """Explain a LiDAR that was joined to the others, but whose pose nothing holds."""
-    own = [pair for pair in document.pairs if name in pair.names and pair.verdict.outcome in ("accept", "uncertain")]
+    own = [pair for pair in document.pairs if name in pair.names and pair.verdict.counts]
     best = max(own, key=lambda pair: pair.evidence, default=None)
     sentence = f"{document.lidars[name].reason.rstrip('.')}."
     decisive = None if best is None else DecisivePair(best.target, best.source, ("not_observable",), sentence)

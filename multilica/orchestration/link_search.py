@@ -280,7 +280,7 @@ class LinkSearch:
                     self.links[also] = replace(link, registration=replace(link.registration, verdict=verdict))
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
-        if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:
+        if found is None or not found.verdict.counts or found.information is None:
             return
         target, source = self._of_label[found.target], self._of_label[found.source]
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)

@@ -11,7 +11,7 @@ import numpy as np
 from multilica import events
 from multilica.acceptance.accept import is_in_long_place, may_compete
 from multilica.acceptance.pair_graph import PairGraph
-from multilica.acceptance.rig import is_contradicted, may_join
+from multilica.acceptance.rig import TURNED_RAD, is_contradicted, may_join, symmetry_reason
 from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import register_sides
@@ -25,8 +25,6 @@ from multilica.stages.fine import leads_surely
 _MOST_ELSEWHERE = 2
 # A wrong pose in a tunnel may fit at any of 15 places a metre apart: LiDARs of one vehicle are within 15 m.
 _OF_LONG_PLACE = log(15.0)
-# A smaller turn is no symmetry of a hall or a tunnel.
-_TURNED_RAD = np.deg2rad(45.0)
 # With a third of the LiDARs not searched, one of three could still contradict the other two.
 _MISSED_SHARE = 1.0 / 3.0
 
@@ -147,7 +145,7 @@ def _not_compared(
         return ()
     pair = across[0]
     text = (
-        f"the time limit (--max-time) ended the search before {' and '.join(missed)} could contradict {pair.source} "
+        f"the time limit (--max-time) ended the search before {', '.join(missed)} could contradict {pair.source} "
         f"against {pair.target}, which alone joins their groups"
     )
     return (Reason("out_of_time", len(missed), 0.0, text),)
@@ -228,12 +226,7 @@ def _turned(state: CalibrationState, pair: PairRegistration, turns: Sequence[_Tu
             continue
         competing = state.score_rough_pose(there)
         if min(known.rough_lead_over(competing), competing.visibility.contradiction) < limits.min_log_odds_margin:
-            metres, radians = pose.distance_to(there)
-            text = (
-                f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "
-                f"{np.rad2deg(radians):.0f} deg, so another pose {metres:.2f} m away is also possible"
-            )
-            return (Reason("ambiguous", 1.0, 0.0, text),)
+            return (symmetry_reason(pose, competing, seen_by),)
     return ()
 
 
@@ -260,7 +253,7 @@ def _competing(
     competing = [reason for reason in found.verdict.reasons if reason.competing is not None]
     for there in (each.competing.T_target_source for each in competing if each.competing is not None):
         turned = there.with_target(pair.target)
-        if pose.distance_to(turned)[1] >= _TURNED_RAD:
+        if pose.distance_to(turned)[1] >= TURNED_RAD:
             of_target, of_source = turned @ pose.inverse(), pose.inverse() @ turned
             turns.extend((pair.target, turn, pair) for turn in (of_target, of_target.inverse()))
             turns.extend((pair.source, turn, pair) for turn in (of_source, of_source.inverse()))

@@ -254,7 +254,7 @@ def _beside_further_poses(search: PairSearch, target: PreparedLidar, source: Pre
     On a vehicle there are none beside the pose that led after the verification.
     """
     registration, config = search.registration, target.config
-    if not search.verified or registration is None or registration.verdict.outcome not in ("accept", "uncertain"):
+    if not search.verified or registration is None or not registration.verdict.counts:
         return
     name, views = target.side.cloud.name, (target.verification_cloud, source.verification_cloud)
     led = not is_distinct(search.verified[0].T_target_source, [registration.T_target_source.with_target(name)])
@@ -365,7 +365,7 @@ def register_sides(
     if found.registrations:
         views = max(len(target.views), len(source.views))
         verdict = accept(found.registrations, config.acceptance, views)
-        if fit and found.information is None and verdict.outcome in ("accept", "uncertain"):
+        if fit and found.information is None and verdict.counts:
             verdict = Verdict("undecided", (unknown_precision(config.acceptance),))
         return replace(found, verdict=verdict)
     return replace(found, verdict=accept_by_fitness(found, config.merge))

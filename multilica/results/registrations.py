@@ -158,6 +158,11 @@ class Verdict:
         return self.outcome == "accept"
 
     @property
+    def counts(self) -> bool:
+        """True if it is accepted, or uncertain: then it may join LiDARs that no accepted one does."""
+        return self.outcome in ("accept", "uncertain")
+
+    @property
     def codes(self) -> tuple[str, ...]:
         """Codes of the reasons, in order."""
         return tuple(reason.code for reason in self.reasons)

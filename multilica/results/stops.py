@@ -63,7 +63,7 @@ class ViewPair:
     def counts(self) -> bool:
         """True if the registration is accepted or uncertain, with its information."""
         found = self.registration
-        return found.information is not None and found.verdict.outcome in ("accept", "uncertain")
+        return found.information is not None and found.verdict.counts
 
     @property
     def is_link(self) -> bool:

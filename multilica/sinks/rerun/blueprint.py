@@ -132,7 +132,7 @@ def _opened(state: RunState, pairs: Sequence[PairKey]) -> int:
     decisive = decisive_failure(state)
     failed = [failure.pair for failure in (decisive, *failures(state)) if failure is not None]
     verdicts = {pair: state.registrations[pair].verdict for pair in pairs if pair in state.registrations}
-    used = [pair for pair, verdict in verdicts.items() if verdict.outcome in ("accept", "uncertain")]
+    used = [pair for pair, verdict in verdicts.items() if verdict.counts]
     used.sort(key=lambda pair: (verdicts[pair].outcome == "accept", state.registrations[pair].evidence))
     return next((pairs.index(pair) for pair in (*failed, *used) if pair in pairs), 0)
 

@@ -140,6 +140,12 @@ def test_a_turn_that_groups_see_doubts_the_next_lone_pair(doubt, yaw_rad, undeci
     assert doubt(_searched("a", "b"), linked("b", "c"), verdict=twice)[0] == undecided
 
 
+def test_a_turn_is_known_to_both_lidars_of_a_pair(doubt):
+    turned = scored(pose("a", "b", (1.0, 2.0, 0.0), np.pi))
+    twice = Verdict("undecided", (Reason("ambiguous", 1.0, 4.6, "it fits turned", turned),))
+    assert doubt(_searched("a", "b"), linked("a", "c"), verdict=twice)[0] == {"ab", "ac"}
+
+
 def test_groups_that_fit_better_elsewhere_are_not_joined(doubt):
     assert doubt(*_GROUP, _searched("a", "d"), verdict=Verdict("accept"), at=_ELSEWHERE)[0] == {"ad"}
 
